@@ -1,0 +1,240 @@
+"""The trajectory planner of section II: a virtual unicycle per follower keeps the leader at `d`.
+
+The plane is the complex plane, so that the equations read as printed: `R(theta)` is `exp(j theta)`,
+`R^T a` is `exp(-j theta) a`, and `S(omega) a` is `j omega a`. Height is separate (II-E).
+
+    p_F_dot = R i u,  R_dot = R S(omega),  u_dot = T,  omega_dot = tau           (2)-(5)
+    e1 = R^T (p_L - p_F) - d                                                     (6)-(7)
+    e2 = sigma(e1) + (-S(omega) d + R^T p_L_dot - u i) / k1                      (11)
+    xi_dot = e2                                                                  (18)
+
+All angles in radians, lengths in metres, time in seconds; the plane is (north, east), `z` is down.
+"""
+
+from __future__ import annotations
+
+from cmath import exp
+from math import atan2, tanh
+from typing import NamedTuple
+
+from formation_env._jit import device
+from formation_env.so3 import Vector
+from formation_env.trajectories import Reference
+
+
+class PlannerLaw(NamedTuple):
+    """Gains of the planner, as the kernels take them (`PlannerGains` checks them first)."""
+
+    k1: float  # 1/s, > 0
+    k2: float  # > 1 (theorem 1)
+    k3: float  # >= 0 (0 switches the integral action off, as in II-D)
+    kz1: float  # 1/s^2, > 0
+    kz2: float  # 1/s, > 0
+    p_max: float  # m, level of the saturation (10)
+    z_max: float  # m/s^2, level of the saturation (34)
+
+
+class Leader(NamedTuple):
+    """What a follower knows of the leader; jerk and snap are zero where nobody knows them."""
+
+    p: Vector  # m, inertial
+    v: Vector  # m/s
+    a: Vector  # m/s^2
+    j: Vector  # m/s^3
+    s: Vector  # m/s^4
+
+
+class Virtual(NamedTuple):
+    """State of a virtual follower."""
+
+    p: complex  # position in the plane, m
+    theta: float  # heading, rad, not wrapped
+    u: float  # forward speed, m/s
+    omega: float  # turning rate, rad/s
+    xi: complex  # integral of e2, m s
+    z: float  # height coordinate, m, down
+    w: float  # its rate, m/s
+
+
+class PlanarErrors(NamedTuple):
+    """Errors of the planner in the frame {F} of the virtual follower, m."""
+
+    e1: complex  # (7)
+    e2: complex  # (11)
+
+
+@device
+def plane(a: Vector) -> complex:
+    """The horizontal part of a vector as a complex number."""
+    return complex(a[0], a[1])
+
+
+@device
+def saturation(x: complex, p_max: float) -> complex:
+    """`sigma(x) = p_max tanh(x / p_max)`, element by element (10), as corrected in the errata."""
+    return complex(p_max * tanh(x.real / p_max), p_max * tanh(x.imag / p_max))
+
+
+@device
+def saturation_slope(x: complex, p_max: float) -> complex:
+    """`sigma'(x)`, element by element: `1 - tanh^2`."""
+    a, b = tanh(x.real / p_max), tanh(x.imag / p_max)
+    return complex(1.0 - a * a, 1.0 - b * b)
+
+
+@device
+def each(a: complex, b: complex) -> complex:
+    """Product element by element, `diag(a) b`."""
+    return complex(a.real * b.real, a.imag * b.imag)
+
+
+@device
+def gamma_solve(nu: complex, d: complex) -> tuple[float, float]:
+    """`Gamma^-1 nu` with `Gamma = [[1, -d_y], [0, d_x]]` (14); needs `d_x != 0`."""
+    tau = nu.imag / d.real
+    return nu.real + d.imag * tau, tau
+
+
+@device
+def errors(f: Virtual, p_L: complex, v_L: complex, d: complex, law: PlannerLaw) -> PlanarErrors:
+    """The position error (7) and the backstepping error (11), m, in {F}.
+
+    With them, `e1_dot = -S(omega) e1 - k1 sigma(e1) + k1 e2`.
+    """
+    Rt = exp(-1j * f.theta)
+    e1 = Rt * (p_L - f.p) - d
+    e2 = saturation(e1, law.p_max) + (-1j * f.omega * d + Rt * v_L - f.u) / law.k1
+    return PlanarErrors(e1, e2)
+
+
+@device
+def control(
+    f: Virtual, p_L: complex, v_L: complex, a_L: complex, d: complex, law: PlannerLaw
+) -> tuple[float, float]:
+    """The actuation `(T, tau)` of a virtual follower (21), (39); m/s^2 and rad/s^2.
+
+        mu = Gamma^-1 (delta + k1 sigma_dot(e1) + k1^2 k2 e2 + k1 k3 xi)
+        delta = -S(omega) R^T p_L_dot + R^T p_L_ddot                         (16)
+
+    `delta` is the time derivative of `R^T p_L_dot`, `sigma_dot(e1) = sigma'(e1) e1_dot` is taken along
+    the motion, `e1_dot = -S(omega)(e1 + d) + R^T p_L_dot - u i`. The terms cancel everything in
+    `e2_dot` but a linear system:
+
+        e2_dot = -k1 k2 e2 - k3 xi
+
+    (the paper prints `k1 k3 xi`; with (11) and (21) the factor is `k3`, see the errata). So `e2` and
+    `xi` go to zero exponentially and `e1` follows, from any start (theorem 1, with `k1 > 0`, `k2 > 1`,
+    `k3 > 0`). It fails for `d_x = 0`, where turning no longer moves the leader sideways in {F}.
+    """
+    Rt = exp(-1j * f.theta)
+    e1, e2 = errors(f, p_L, v_L, d, law)
+    V = Rt * v_L
+    delta = -1j * f.omega * V + Rt * a_L
+    e1_dot = -1j * f.omega * (e1 + d) + V - f.u
+    sigma_dot = each(saturation_slope(e1, law.p_max), e1_dot)
+    nu = delta + law.k1 * sigma_dot + law.k1**2 * law.k2 * e2 + law.k1 * law.k3 * f.xi
+    return gamma_solve(nu, d)
+
+
+@device
+def climb(f: Virtual, leader: Leader, d_z: float, law: PlannerLaw) -> float:
+    """Vertical acceleration of a virtual follower (33)-(34), m/s^2, down.
+
+    `sigma_z(p_L_ddot_z + k_z1 e_z + k_z2 e_z_dot)` with `e_z = p_Lz - p_Fz - d_z` (32). Away from the
+    saturation `e_z_ddot = -k_z1 e_z - k_z2 e_z_dot`.
+    """
+    e_z = leader.p[2] - f.z - d_z
+    x = leader.a[2] + law.kz1 * e_z + law.kz2 * (leader.v[2] - f.w)
+    return min(max(x, -law.z_max), law.z_max)
+
+
+@device
+def derivative(f: Virtual, leader: Leader, d: Vector, law: PlannerLaw) -> Virtual:
+    """Time derivative of a virtual follower's state under its law (2)-(5), (18), (33)."""
+    p_L, v_L, a_L = plane(leader.p), plane(leader.v), plane(leader.a)
+    T, tau = control(f, p_L, v_L, a_L, plane(d), law)
+    e2 = errors(f, p_L, v_L, plane(d), law).e2
+    return Virtual(f.u * exp(1j * f.theta), f.omega, T, tau, e2, f.w, climb(f, leader, d[2], law))
+
+
+@device
+def _along(f: Virtual, h: float, rate: Virtual) -> Virtual:
+    return Virtual(
+        f.p + h * rate.p,
+        f.theta + h * rate.theta,
+        f.u + h * rate.u,
+        f.omega + h * rate.omega,
+        f.xi + h * rate.xi,
+        f.z + h * rate.z,
+        f.w + h * rate.w,
+    )
+
+
+@device
+def _coast(leader: Leader, h: float) -> Leader:
+    """The leader `h` seconds on, its acceleration held."""
+    p, v, a = leader.p, leader.v, leader.a
+    k = 0.5 * h * h
+    return Leader(
+        (p[0] + h * v[0] + k * a[0], p[1] + h * v[1] + k * a[1], p[2] + h * v[2] + k * a[2]),
+        (v[0] + h * a[0], v[1] + h * a[1], v[2] + h * a[2]),
+        a,
+        leader.j,
+        leader.s,
+    )
+
+
+@device
+def advance(f: Virtual, leader: Leader, d: Vector, h: float, law: PlannerLaw) -> Virtual:
+    """A virtual follower `h` seconds later, from one sample of the leader.
+
+    A classical Runge-Kutta step in which the leader coasts at the sampled acceleration: between
+    samples nothing newer is known.
+    """
+    middle = _coast(leader, 0.5 * h)
+    a = derivative(f, leader, d, law)
+    b = derivative(_along(f, 0.5 * h, a), middle, d, law)
+    c = derivative(_along(f, 0.5 * h, b), middle, d, law)
+    e = derivative(_along(f, h, c), _coast(leader, h), d, law)
+    return _along(_along(_along(_along(f, h / 6.0, a), h / 3.0, b), h / 3.0, c), h / 6.0, e)
+
+
+@device
+def place(p_L: Vector, v_L: Vector, d: Vector, direction: complex, moving: bool) -> Virtual:
+    """A virtual follower with null errors, heading along `direction` (II-E).
+
+    `p_F = p_L - R d`, so `e1 = 0` (7) and `e_z = 0` (32). If `moving`, its speed and turning rate are
+    those of the zero dynamics (23), so `e2 = 0` too; otherwise it is at rest, as before the trigger.
+    `direction` is the unit vector of the leader's planar velocity, as a complex number.
+    """
+    from_leader = direction * plane(d)
+    V = plane(v_L) * direction.conjugate()
+    u, omega = gamma_solve(V, plane(d)) if moving else (0.0, 0.0)
+    return Virtual(
+        plane(p_L) - from_leader,
+        atan2(direction.imag, direction.real),
+        u,
+        omega,
+        0j,
+        p_L[2] - d[2],
+        v_L[2] if moving else 0.0,
+    )
+
+
+@device
+def reference(f: Virtual, leader: Leader, d: Vector, law: PlannerLaw) -> Reference:
+    """The trajectory a virtual follower draws, and its derivatives up to the second (35).
+
+    Jerk and snap are zero, as in the paper's experiment. See `full_reference`.
+    """
+    T, _ = control(f, plane(leader.p), plane(leader.v), plane(leader.a), plane(d), law)
+    R = exp(1j * f.theta)
+    v = R * f.u
+    a = R * (T + 1j * f.omega * f.u)
+    return Reference(
+        (f.p.real, f.p.imag, f.z),
+        (v.real, v.imag, f.w),
+        (a.real, a.imag, climb(f, leader, d[2], law)),
+        (0.0, 0.0, 0.0),
+        (0.0, 0.0, 0.0),
+    )

@@ -1,0 +1,207 @@
+"""Break the laws by one symbol at a time and see whether the tests notice.
+
+    python tests/mutants.py [--jobs 2] [--only NAME]
+
+Each mutant is applied to a copy of the package in a temporary folder, where the module's own test
+file runs with the compiler off. Prints a table; the exit status is 1 if any mutant survives.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# Hypothesis without shrinking: here only whether a test fails counts, not how.
+RUN = """
+import sys, pytest
+
+class Quick:
+    def pytest_sessionstart(self):
+        from hypothesis import Phase, settings
+        settings.register_profile("quick", settings(), phases=(Phase.explicit, Phase.generate))
+        settings.load_profile("quick")
+
+code = pytest.main(["-x", "-q", "-p", "no:cacheprovider", *sys.argv[1:]], plugins=[Quick()])
+sys.exit({0: 40, 1: 41}.get(code, code))
+"""
+PATIENCE = 120  # s; the tests of one module take 5. A loop that blows up can stall SciPy's solver.
+PASSED, FAILED = 40, 41  # distinct from the status of a run that never came to testing
+
+
+class Mutant(NamedTuple):
+    """One change: `old`, found exactly once in `formation_env/<module>.py`, becomes `new`."""
+
+    module: str
+    old: str
+    new: str
+
+
+MUTANTS = [
+    # The planner: errors (7), (11), the law (21), the height (33)-(34), the start, the step.
+    Mutant("planner", "e1 = Rt * (p_L - f.p) - d", "e1 = Rt * (p_L - f.p) + d"),
+    Mutant("planner", "(-1j * f.omega * d + Rt * v_L", "(1j * f.omega * d + Rt * v_L"),
+    Mutant("planner", "+ Rt * v_L - f.u) / law.k1", "+ Rt * v_L - f.u) / law.k2"),
+    Mutant("planner", "return complex(p_max * tanh", "return complex(-p_max * tanh"),
+    Mutant("planner", "1.0 - a * a, 1.0 - b * b", "1.0 - a * a, 1.0 - a * b"),
+    Mutant("planner", "tau = nu.imag / d.real", "tau = nu.imag * d.real"),
+    Mutant("planner", "nu.real + d.imag * tau", "nu.real - d.imag * tau"),
+    Mutant("planner", "delta = -1j * f.omega * V", "delta = 1j * f.omega * V"),
+    Mutant("planner", "e1_dot = -1j * f.omega * (e1 + d)", "e1_dot = -1j * f.omega * (e1 - d)"),
+    Mutant("planner", "law.k1**2 * law.k2 * e2", "law.k1**3 * law.k2 * e2"),
+    Mutant("planner", "law.k1 * law.k3 * f.xi", "law.k2 * law.k3 * f.xi"),
+    Mutant("planner", "e_z = leader.p[2] - f.z - d_z", "e_z = leader.p[2] - f.z + d_z"),
+    Mutant("planner", "law.kz1 * e_z + law.kz2", "law.kz1 * e_z - law.kz2"),
+    Mutant("planner", "min(max(x, -law.z_max)", "min(max(x, law.z_max)"),
+    Mutant("planner", "k = 0.5 * h * h", "k = 1.5 * h * h"),
+    Mutant("planner", "v[1] + h * a[1]", "v[1] - h * a[1]"),
+    Mutant("planner", "b), h / 3.0, c)", "b), h / 6.0, c)"),
+    Mutant("planner", "e = derivative(_along(f, h, c)", "e = derivative(_along(f, h, b)"),
+    Mutant("planner", "plane(v_L) * direction.conjugate()", "plane(v_L) * direction"),
+    Mutant("planner", "plane(p_L) - from_leader", "plane(p_L) + from_leader"),
+    Mutant("planner", "p_L[2] - d[2]", "p_L[2] + d[2]"),
+    Mutant("planner", "R * (T + 1j * f.omega * f.u)", "R * (T - 1j * f.omega * f.u)"),
+    # Feed-forward: the second and third derivatives of the law.
+    Mutant("feedforward", "s2 = -2.0 * t * s1", "s2 = 2.0 * t * s1"),
+    Mutant("feedforward", "s1 * s1 / p_max + t * s2", "s1 * s1 / p_max - t * s2"),
+    Mutant("feedforward", "e2_1 = -k1 * k2 * e2 - k3", "e2_1 = -k1 * k2 * e2 + k3"),
+    Mutant("feedforward", "A1 = -1j * w * A + J", "A1 = -1j * w * A - J"),
+    Mutant("feedforward", "V2 = -1j * tau * V", "V2 = 1j * tau * V"),
+    Mutant("feedforward", "(e1 + dc) - 2j * tau", "(e1 + dc) - 1j * tau"),
+    Mutant("feedforward", "+ 3.0 * each(s2", "+ 2.0 * each(s2"),
+    Mutant("feedforward", "m.T_dot - w * w * u", "m.T_dot + w * w * u"),
+    Mutant("feedforward", "3.0 * m.tau * m.T", "2.0 * m.tau * m.T"),
+    Mutant("feedforward", "free = abs(a_z) < law.z_max", "free = abs(a_z) > law.z_max"),
+    Mutant("feedforward", "law.kz2 * (leader.j[2] - j_z)", "law.kz2 * (leader.j[2] + j_z)"),
+    # The slots: (6) and the zero dynamics (23).
+    Mutant("slots", "(R.conjugate() * v_L).imag", "(R * v_L).imag"),
+    Mutant("slots", "0.5 * h * (rate + ahead)", "0.5 * h * (rate + rate)"),
+    Mutant("slots", "half = complex(1.0, 0.5 * angle)", "half = complex(1.0, -0.5 * angle)"),
+    Mutant("slots", "p_L[0] - offset[0]", "p_L[0] + offset[0]"),
+    Mutant("slots", "v_L[1] - rate * offset[0]", "v_L[1] + rate * offset[0]"),
+    Mutant("slots", "c * a[1] - s * a[0], a[2]", "c * a[1] + s * a[0], a[2]"),
+    # Rotations.
+    Mutant("so3", "2.0 * (x * y + w * z), 2.0", "2.0 * (x * y - w * z), 2.0"),
+    Mutant("so3", "p[0] * q[2] - p[1] * q[3]", "p[0] * q[2] + p[1] * q[3]"),
+    Mutant("so3", "angle * angle / 48.0", "angle * angle / 24.0"),
+    Mutant("so3", "(1.0 + r3[2], -r3[1], r3[0], 0.0)", "(1.0 + r3[2], r3[1], r3[0], 0.0)"),
+    Mutant("so3", "a[2] * b[0] - a[0] * b[2]", "a[2] * b[0] + a[0] * b[2]"),
+    # The rigid body: (41)-(46), actuators, step, floor.
+    Mutant("quadrotor", "push[2] + GRAVITY - a * r3[2]", "push[2] - GRAVITY - a * r3[2]"),
+    Mutant("quadrotor", "push[0] - a * r3[0]", "push[0] + a * r3[0]"),
+    Mutant("quadrotor", "turn[1] - gyroscopic[1]", "turn[1] + gyroscopic[1]"),
+    Mutant("quadrotor", "gyroscopic[2]) / J[2]", "gyroscopic[2]) / J[1]"),
+    Mutant("quadrotor", "torque), 1.0, cross(w", "torque), -1.0, cross(w"),
+    Mutant("quadrotor", "rate * (turn[2] - w[2])", "rate * (turn[2] + w[2])"),
+    Mutant("quadrotor", "qw * w[1] + qz * w[0]", "qw * w[1] - qz * w[0]"),
+    Mutant("quadrotor", "d = derivative(_along(body, h, c)", "d = derivative(_along(body, h, a)"),
+    Mutant("quadrotor", "b), h / 3.0, c)", "b), h / 6.0, c)"),
+    Mutant("quadrotor", "after.v, normalise(after.q)", "after.v, (after.q)"),
+    Mutant("quadrotor", "if actuation == MOMENT else", "if actuation == RATES else"),
+    Mutant("quadrotor", "min(max(x, low), high)", "min(max(x, -low), high)"),
+    Mutant("quadrotor", "body.p[2] > 0.0 or", "body.p[2] < 0.0 or"),
+    Mutant("quadrotor", "body.v[2] >= 0.0", "body.v[2] <= 0.0"),
+    Mutant("quadrotor", "max(body.v[2], 0.0)", "max(-body.v[2], 0.0)"),
+    # The tracker: errors, closed-form rates, laws, Lyapunov function.
+    Mutant("tracker", "(-ref.a[0], -ref.a[1]", "(-ref.a[0], ref.a[1]"),
+    Mutant("tracker", "GRAVITY - ref.a[2]", "GRAVITY + ref.a[2]"),
+    Mutant("tracker", "add_scaled(scale(k1, e1)", "add_scaled(scale(k2, e1)"),
+    Mutant("tracker", "return -3.0 * x /", "return 3.0 * x /"),
+    Mutant("tracker", "lift_dot = dot(b_dot, r3) + dot", "lift_dot = dot(b_dot, r3) - dot"),
+    Mutant("tracker", "(m.w[1], -m.w[0], 0.0)", "(m.w[1], m.w[0], 0.0)"),
+    Mutant("tracker", "b_ddot = sub(s_ddot, ref.s)", "b_ddot = add(s_ddot, ref.s)"),
+    Mutant("tracker", "scale(p11, s), -p12, e2)", "scale(p11, s), p12, e2)"),
+    Mutant("tracker", "inner)), k2 - p12, s)", "inner)), k2 + p12, s)"),
+    Mutant("tracker", "-2.0 * n_dot, r3d_dot", "-1.0 * n_dot, r3d_dot"),
+    Mutant("tracker", "o.b_dot, -n_dot, r3d)", "o.b_dot, n_dot, r3d)"),
+    Mutant("tracker", "bend), cross(m.w, A))", "bend), cross(A, m.w))"),
+    Mutant("tracker", "y_dot), cross(m.w, B))", "y_dot), cross(m.w, A))"),
+    Mutant("tracker", "-(w[1] - p.A[1]) + p.B[0]", "-(w[1] - p.A[1]) - p.B[0]"),
+    Mutant("tracker", "(w[0] - p.A[0]) + p.B[1], 0.0)", "(w[0] + p.A[0]) + p.B[1], 0.0)"),
+    Mutant("tracker", "law.k4 * e4[0] + r3d_body[0]", "law.k4 * e4[0] - r3d_body[0]"),
+    Mutant("tracker", "law.k4 * e4[1] + r3d_body[1]", "law.k3 * e4[1] + r3d_body[1]"),
+    Mutant("tracker", "-g[1] + p.A_dot[0] - p.B_dot[1]", "-g[1] + p.A_dot[0] + p.B_dot[1]"),
+    Mutant("tracker", "g[0] + p.A_dot[1] + p.B_dot[0]", "g[0] - p.A_dot[1] + p.B_dot[0]"),
+    Mutant("tracker", "-law.kz * m.w[2]", "law.kz * m.w[2]"),
+    Mutant("tracker", "p.A[0] - p.B[1] + lag", "p.A[0] + p.B[1] + lag"),
+    Mutant("tracker", "lag * (p.A_dot[1] + p.B_dot[0])", "lag * (p.A_dot[1] - p.B_dot[0])"),
+    Mutant("tracker", "V3 = V_sigma + 1.0 - dot", "V3 = V_sigma + 1.0 + dot"),
+    Mutant("tracker", "V3 + 0.5 * dot(e4, e4)", "V3 + 1.5 * dot(e4, e4)"),
+    Mutant("tracker", "-0.5 * (k1 * p11 + k2 * p12)", "-0.5 * (k1 * p11 - k2 * p12)"),
+    Mutant("tracker", "_each(-0.5 * (k1 - p22))", "_each(-0.5 * (k1 + p22))"),
+    Mutant("tracker", "V4_dot = -W - law.k3", "V4_dot = -W - law.k4"),
+]  # fmt: skip
+
+
+def apply(mutant: Mutant, root: Path = ROOT) -> str:
+    """The mutated source; `ValueError` unless `old` occurs exactly once."""
+    source = (root / "formation_env" / f"{mutant.module}.py").read_text()
+    found = source.count(mutant.old)
+    if found != 1:
+        raise ValueError(f"{mutant.module}: {mutant.old!r} occurs {found} times")
+    return source.replace(mutant.old, mutant.new)
+
+
+def tests_pass(module: str, mutant: Mutant | None) -> bool:
+    """Run the tests that watch `module` on a copy of the package, mutated or not."""
+    with tempfile.TemporaryDirectory() as folder:
+        for name in ("formation_env", "tests"):
+            ignore = shutil.ignore_patterns("__pycache__", ".*")
+            shutil.copytree(ROOT / name, Path(folder, name), ignore=ignore)
+        shutil.copy(ROOT / "pyproject.toml", folder)
+        if mutant is not None:
+            Path(folder, "formation_env", f"{module}.py").write_text(apply(mutant))
+        try:
+            result = subprocess.run(
+                [sys.executable, "-B", "-c", RUN, f"tests/test_{module}.py"],
+                cwd=folder,
+                env=os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": folder},
+                capture_output=True,
+                text=True,
+                check=False,
+                timeout=PATIENCE,
+            )
+        except subprocess.TimeoutExpired:
+            return False
+    if result.returncode not in (PASSED, FAILED):
+        raise RuntimeError(result.stdout + result.stderr)
+    return result.returncode == PASSED
+
+
+def survives(mutant: Mutant) -> bool:
+    return tests_pass(mutant.module, mutant)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--jobs", type=int, default=2, help="mutants tried at the same time")
+    parser.add_argument("--only", default="", help="a module's name")
+    options = parser.parse_args()
+    chosen = [m for m in MUTANTS if options.only in ("", m.module)]
+    with ThreadPoolExecutor(options.jobs) as pool:
+        modules = sorted({m.module for m in chosen})
+        sound_alone = partial(tests_pass, mutant=None)
+        for module, sound in zip(modules, pool.map(sound_alone, modules), strict=True):
+            if not sound:
+                print(f"the tests of {module} fail without any mutant")
+                return 2
+        alive = 0
+        for mutant, survived in zip(chosen, pool.map(survives, chosen), strict=True):
+            alive += survived
+            verdict = "SURVIVED" if survived else "killed"
+            print(f"{verdict:9} {mutant.module:12} {mutant.old}  ->  {mutant.new}", flush=True)
+    print(f"{len(chosen) - alive} of {len(chosen)} mutants killed")
+    return 1 if alive else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
