@@ -1,0 +1,224 @@
+"""The Gymnasium face: one policy commands all followers. Id `Formation-v0`."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, final
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.error import ResetNeeded
+from numpy.typing import NDArray
+
+from formation_env import faces
+from formation_env.config import FormationConfig
+from formation_env.scenarios import configure
+from formation_env.simulation import Simulation, Snapshot, stream_key
+
+Observation = NDArray[np.float32]
+
+
+@final
+class FormationEnv(gym.Env[Observation, NDArray[np.float32]]):
+    """Quadrotors that keep a formation behind a leader whose trajectory they do not know.
+
+    ## Description
+
+    A leader quadrotor, flown by the paper's backstepping tracker, follows a reference trajectory.
+    Each follower has to keep the leader at its offset `d_i = (d_x, d_y, d_z)`, seen from a frame {F}
+    that moves along the follower's own path. The target of follower i, its *slot*, is the paper's
+    own definition taken exactly,
+
+        p_i* = p_L - R(theta_i*) d_i,      theta_i*_dot = (R^T p_L_dot)_y / d_x        (6), (23)
+
+    with the height of (32) at `e_z = 0`. It depends on the leader's true motion only, never on the
+    policy. With equal `d_x` the slots are a rigid formation.
+
+    The inertial frame is north-east-down: `z` points down, the floor is `p_z = 0`. One step is one
+    control tick of 0.02 s, integrated by 4 Runge-Kutta steps.
+
+    ## Action Space
+
+    `Box(-1, 1, (followers * k,), float32)`: the followers' actions side by side. What they mean is
+    chosen by `action=`; the limits are those of `config.vehicle`. Finite values out of range are
+    clipped; a value that is not finite raises `ValueError` and changes nothing.
+
+    | `action=` | k | entries | -1 ... 0 ... +1 |
+    |---|---|---|---|
+    | `"wrench"` | 4 | thrust along -r3 (N); moment about the body axes x, y, z (N m) | thrust 0 ... `m g` ... `2 m g`; moment -+(0.05, 0.05, 0.02) |
+    | `"rates"` | 4 | thrust (N); angular velocity about the body axes (rad/s) through a first-order lag of 0.05 s | thrust as above; rates -+(10, 10, 5) |
+    | `"reference"` | 3 | acceleration of a virtual follower, formation frame {F} (m/s^2), that the paper's tracker flies | -+(4, 4, 4) |
+
+    ## Observation Space
+
+    `Box` of float32, one row per follower, side by side; bounds are finite and observations are
+    clipped to them. {F} is the formation frame of the heading that the follower estimates by
+    integrating (23) on the leader's measured velocity; its z points down. All but `offset`,
+    `previous_action` and `started` come from measurements, with their noise and delay. Use
+    `env.unwrapped.config.layout.unpack(row)` for the names.
+
+    | index | entry | unit | frame | meaning | bound |
+    |---|---|---|---|---|---|
+    | 0-2 | `slot_error` | m | {F} | `R^T(p_L - p) - d`: where the leader is seen, minus where it should be | 1000 |
+    | 3-5 | `relative_velocity` | m/s | {F} | the leader's velocity minus own | 100 |
+    | 6-8 | `leader_velocity` | m/s | {F} | | 100 |
+    | 9-11 | `leader_acceleration` | m/s^2 | {F} | | 100 |
+    | 12-14 | `body_x` | 1 | {F} | first body axis r1 | 1 |
+    | 15-17 | `body_z` | 1 | {F} | third body axis r3; thrust acts along -r3 | 1 |
+    | 18-20 | `angular_velocity` | rad/s | body | omega | 100 |
+    | 21-22 | `heading` | 1 | inertial | cos and sin of the estimated theta | 1 |
+    | 23-25 | `offset` | m | {F} | d_i | 1000 |
+    | 26-29 | `previous_action` | 1 | - | last action as executed, padded with zeros | 1 |
+    | 30 | `started` | 1 | - | 1 once the trigger (40) has fired | 1 |
+    | 31-33 | `position` | m | inertial | own position | 10000 |
+    | +3 | `guide_position` | m | {F} | only with `action="reference"`: the virtual follower's position minus own | 1000 |
+    | +3 | `guide_velocity` | m/s | {F} | only with `action="reference"`: its velocity minus own | 100 |
+    | +7 each | `neighbour_present`, `neighbour_position`, `neighbour_velocity` | 1, m, m/s | {F} | the nearest other followers (`neighbours=2`), nearest first, minus own; zeros where there is none | 1, 1000, 100 |
+
+    Before the trigger (40) fires, `slot_error` refers to the place where the follower should start
+    from: the leader counts as being at its first reference point.
+
+    ## Rewards
+
+    The mean over followers of the sum of named terms, all in `info["reward_terms"]`:
+
+    | term | value per tick | default weight |
+    |---|---|---|
+    | `formation` | `1 / (1 + (e / scale)^2)`, `e` the true distance to the slot | scale 0.3 m |
+    | `effort` | `-w` times the mean squared action | 0.05 |
+    | `smoothness` | `-w` times the mean squared change of action | 0.05 |
+    | `failure` | `-w` once, to the follower that failed | 10 |
+
+    ## Starting State
+
+    `start="formation"`: the leader flies along its reference; each follower is level, moves with
+    its slot's velocity, and is up to `start_offset` (0.2 m) away from it, uniformly in a ball.
+    `start="ground"`: all vehicles rest on the floor; the leader climbs to its first reference point
+    and waits until every vehicle is within `trigger` (0.25 m) of where it should start (40).
+
+    ## Episode End
+
+    Terminates when a follower collides (two vehicles closer than 0.2 m), hits the floor faster than
+    1 m/s or more than 60 degrees from level, or is lost (more than 10 m from its slot);
+    `info["failure"]` says which. Truncates after `duration` (20 s; 40 s in `paper` and `experiment`).
+
+    ## Arguments
+
+    `scenario`: `"nominal"`, `"paper"`, `"experiment"`, `"agile"`, `"swarm"` (see
+    `formation_env.scenarios`), or a `FormationConfig`. `followers`: re-forms a named scenario with
+    that many. `render_mode`: `"human"`, `"rgb_array"` (needs the extra `render`) or None. Every field
+    of `FormationConfig` is a keyword: `offsets`, `trajectory`, `action`, `start`, `noise`, `vehicle`,
+    `planner`, `tracker`, `reward`, `limits`, `duration`, `control_period`, `substeps`, ...
+
+        gym.make("Formation-v0", scenario="paper", action="rates", followers=3)
+
+    Raises `ValueError` naming the field where a value is impossible.
+
+    ## Info
+
+    `slots` and `slot_error` `(followers, 3)` (m, inertial, true), `separation` `(followers,)` (m, to
+    the nearest other vehicle), `failure` `(followers,)` (index into `task.FAILURES`),
+    `reward_terms` (a dictionary of `(followers,)` arrays).
+
+    ## Version History
+
+    * v0: initial version. Observation layout version 1.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": list(faces.RENDER_MODES),
+        "render_fps": 50,
+    }
+
+    def __init__(
+        self,
+        scenario: str | FormationConfig = "nominal",
+        *,
+        followers: int | None = None,
+        render_mode: str | None = None,
+        **options: Any,
+    ) -> None:
+        faces.check_render_mode(render_mode)
+        self.config = configure(scenario, followers=followers, **options)
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": round(1.0 / self.config.control_period)}
+        self.observation_space = faces.observation_space(self.config, self.config.followers)
+        self.action_space = faces.action_space(self.config, self.config.followers)
+        self._simulation = Simulation(self.config)
+        self._keyed_by: np.random.Generator | None = None
+        self._slots: NDArray[np.float64] | None = None
+        self._renderer: Any = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode. A seed restarts the random stream; without one the next episode follows."""
+        super().reset(seed=seed)
+        if self._keyed_by is not self.np_random:
+            self._keyed_by = self.np_random
+            self._simulation.seed(0, stream_key(self.np_random))
+        results = self._simulation.reset()
+        info = faces.describe(results.outputs[0])
+        self._slots = info["slots"].copy()  # the caller may write into what it was given
+        if self._renderer is not None:
+            self._renderer.clear()
+        if self.render_mode == "human":
+            self.render()
+        return results.observations[0].reshape(-1), info
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """One control tick. Raises `ResetNeeded` before the first reset and after the end."""
+        if self._simulation.over[0]:
+            raise ResetNeeded("the episode is over or has not begun: call reset() before step()")
+        n, k = self.config.followers, self.config.action_size
+        actions = faces.read_action(action, (n * k,)).reshape(1, n, k)
+        results = self._simulation.step(actions)
+        info = faces.describe(results.outputs[0])
+        self._slots = info["slots"].copy()  # the caller may write into what it was given
+        if self.render_mode == "human":
+            self.render()
+        return (
+            results.observations[0].reshape(-1),
+            float(results.rewards[0]),
+            bool(results.terminated[0]),
+            bool(results.truncated[0]),
+            info,
+        )
+
+    def render(self) -> Any:
+        """A frame `(height, width, 3)` of uint8 in mode `rgb_array`; a window in mode `human`."""
+        if self.render_mode is None:
+            gym.logger.warn("render() without a render_mode: pass render_mode to gym.make")
+            return None
+        if self._slots is None:
+            raise ResetNeeded("nothing to draw yet: call reset() before render()")
+        if self._renderer is None:
+            self._renderer = faces.make_renderer(self.config, self.render_mode)
+        return faces.draw(self._renderer, self._simulation, self._slots)
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+        self._simulation.close()
+
+    @property
+    def simulation(self) -> Simulation:
+        """The world behind the environment: true positions, attitudes, times."""
+        return self._simulation
+
+    def get_state(self) -> Snapshot:
+        """Everything needed to continue identically from here; see also pickle and deepcopy."""
+        return self._simulation.get_state()
+
+    def set_state(self, state: Snapshot) -> None:
+        """Continue from a state that `get_state` of the same configuration returned."""
+        self._simulation.set_state(state)
+        if self._simulation.seeded[0]:
+            self._keyed_by = self.np_random  # the state's own stream goes on at the next reset
+        self._slots = self._simulation.look().outputs[0, :, 5:8]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_renderer": None}

@@ -1,0 +1,224 @@
+"""The PettingZoo face: one agent per follower. `parallel_env`, `raw_env` and `env`."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, final
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+from numpy.typing import NDArray
+from pettingzoo import AECEnv, ParallelEnv
+from pettingzoo.utils import parallel_to_aec, wrappers
+
+from formation_env import faces
+from formation_env.config import FormationConfig
+from formation_env.scenarios import configure
+from formation_env.simulation import Simulation, Snapshot, seeded_key
+
+Array = NDArray[np.float32]
+
+
+@final
+class FormationParallelEnv(ParallelEnv[str, Array, Array]):
+    """Every follower is an agent, `follower_0` to `follower_{n-1}`; all act at once.
+
+    Observations, actions, rewards, ends and arguments are those of `FormationEnv`, one row per agent;
+    the reward is the agent's own. The first failure ends the episode for all. `state()` is the truth
+    about the world, for centralised critics. `max_cycles` truncates earlier than the duration.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "name": "formation_v0",
+        "render_modes": list(faces.RENDER_MODES),
+        "render_fps": 50,
+        "is_parallelizable": True,
+    }
+
+    def __init__(
+        self,
+        scenario: str | FormationConfig = "nominal",
+        *,
+        followers: int | None = None,
+        max_cycles: int | None = None,
+        render_mode: str | None = None,
+        **options: Any,
+    ) -> None:
+        faces.check_render_mode(render_mode)
+        self.config = configure(scenario, followers=followers, **options)
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": round(1.0 / self.config.control_period)}
+        n = self.config.followers
+        self.possible_agents = [f"follower_{i}" for i in range(n)]
+        self.agents: list[str] = []
+        observation, action = (
+            faces.observation_space(self.config, 1),
+            faces.action_space(self.config, 1),
+        )
+        self.observation_spaces = dict.fromkeys(self.possible_agents, observation)
+        self.action_spaces = dict.fromkeys(self.possible_agents, action)
+        self.state_space = _state_space(n)
+        self._simulation = Simulation(self.config, max_steps=max_cycles)
+        self._seeded = False
+        self._slots: NDArray[np.float64] | None = None
+        self._renderer: Any = None
+
+    @property
+    def max_cycles(self) -> int:
+        """Steps after which the episode is truncated."""
+        return self._simulation.max_steps
+
+    def observation_space(self, agent: str) -> spaces.Box:
+        """The space of one agent's observations; the same object each time."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Box:
+        """The space of one agent's actions; the same object each time."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Array], dict[str, dict[str, Any]]]:
+        """Start an episode. A seed restarts the random stream; without one the next episode follows."""
+        if seed is not None or not self._seeded:
+            self._simulation.seed(0, seeded_key(seed))
+            self._seeded = True
+        results = self._simulation.reset()
+        self.agents = list(self.possible_agents)
+        self._slots = results.outputs[0, :, 5:8].copy()  # the caller may write into its infos
+        if self._renderer is not None:
+            self._renderer.clear()
+        if self.render_mode == "human":
+            self.render()
+        return self._by_agent(results.observations[0]), self._infos(results.outputs[0])
+
+    def step(
+        self, actions: dict[str, Array]
+    ) -> tuple[
+        dict[str, Array],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
+        """One control tick. Raises `ResetNeeded` before the first reset and after the end."""
+        if not self.agents:
+            raise ResetNeeded("the episode is over or has not begun: call reset() before step()")
+        results = self._simulation.step(self._read(actions))
+        agents = self.agents
+        outputs = results.outputs[0]
+        ended, late = bool(results.terminated[0]), bool(results.truncated[0])
+        if ended or late:
+            self.agents = []
+        self._slots = outputs[:, 5:8].copy()
+        if self.render_mode == "human":
+            self.render()
+        return (
+            self._by_agent(results.observations[0]),
+            dict(zip(agents, outputs[:, 0].tolist(), strict=True)),
+            dict.fromkeys(agents, ended),
+            dict.fromkeys(agents, late),
+            self._infos(outputs),
+        )
+
+    def _read(self, actions: dict[str, Array]) -> Array:
+        if not isinstance(actions, dict) or actions.keys() != set(self.agents):
+            found = sorted(actions) if isinstance(actions, dict) else type(actions).__name__
+            raise ValueError(f"actions for {found}: expected one for each of {self.agents}")
+        shape = (self.config.action_size,)
+        rows = [faces.read_action(actions[a], shape, f"action of {a}") for a in self.agents]
+        return np.stack(rows)[None]
+
+    def _by_agent(self, rows: Array) -> dict[str, Array]:
+        return dict(zip(self.possible_agents, rows, strict=True))
+
+    def _infos(self, outputs: NDArray[np.float64]) -> dict[str, dict[str, Any]]:
+        return {
+            agent: {
+                "slot": outputs[i, 5:8],
+                "slot_error": outputs[i, 8:11],
+                "separation": float(outputs[i, 11]),
+                "failure": int(outputs[i, 12]),
+                "reward_terms": dict(zip(_TERMS, outputs[i, 1:5].tolist(), strict=True)),
+            }
+            for i, agent in enumerate(self.possible_agents)
+        }
+
+    def state(self) -> Array:
+        """The truth, float32: per vehicle, leader first, `p, v, q, omega` (13); per follower its slot
+        (3); 1 if the trigger has fired; inertial frame, SI units."""
+        if self._slots is None:
+            raise ResetNeeded("there is no state yet: call reset() before state()")
+        simulation = self._simulation
+        parts = [
+            simulation.positions[0],
+            simulation.velocities[0],
+            simulation.attitudes[0],
+            simulation.angular_velocities[0],
+        ]
+        flat = [np.concatenate(parts, axis=1).ravel(), self._slots.ravel()]
+        state = np.concatenate([*flat, simulation.started.astype(np.float64)]).astype(np.float32)
+        return np.clip(state, self.state_space.low, self.state_space.high)
+
+    def render(self) -> Any:
+        """A frame `(height, width, 3)` of uint8 in mode `rgb_array`; a window in mode `human`."""
+        if self.render_mode is None:
+            gym.logger.warn("render() without a render_mode: pass render_mode to parallel_env")
+            return None
+        if self._slots is None:
+            raise ResetNeeded("nothing to draw yet: call reset() before render()")
+        if self._renderer is None:
+            self._renderer = faces.make_renderer(self.config, self.render_mode)
+        return faces.draw(self._renderer, self._simulation, self._slots)
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+        self._simulation.close()
+
+    @property
+    def simulation(self) -> Simulation:
+        """The world behind the environment: true positions, attitudes, times."""
+        return self._simulation
+
+    def get_state(self) -> Snapshot:
+        """Everything needed to continue identically from here; see also pickle and deepcopy."""
+        return self._simulation.get_state()
+
+    def set_state(self, state: Snapshot) -> None:
+        """Continue from a state that `get_state` of the same configuration returned."""
+        self._simulation.set_state(state)
+        self._seeded = bool(self._simulation.seeded[0])
+        self._slots = self._simulation.look().outputs[0, :, 5:8]
+        self.agents = [] if self._simulation.over[0] else list(self.possible_agents)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_renderer": None}
+
+
+_TERMS = ("formation", "effort", "smoothness", "failure")
+
+
+def _state_space(n: int) -> spaces.Box:
+    """Bounds of `state()`."""
+    vehicle = [1e4] * 3 + [100.0] * 3 + [1.0] * 4 + [100.0] * 3
+    bound = np.array(vehicle * (n + 1) + [1e4] * (3 * n) + [1.0], dtype=np.float32)
+    return spaces.Box(-bound, bound, dtype=np.float32)
+
+
+def parallel_env(**options: Any) -> FormationParallelEnv:
+    """The parallel environment; keywords as `FormationParallelEnv`."""
+    return FormationParallelEnv(**options)
+
+
+def raw_env(**options: Any) -> AECEnv[str, Array, Array]:
+    """The agents taking turns, without the wrapper that guards the order of calls."""
+    return parallel_to_aec(parallel_env(**options))
+
+
+def env(**options: Any) -> AECEnv[str, Array, Array]:
+    """The agents taking turns: PettingZoo's AEC form of `parallel_env`."""
+    return wrappers.OrderEnforcingWrapper(raw_env(**options))

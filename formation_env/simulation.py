@@ -1,0 +1,234 @@
+"""Many worlds: arrays, the loop over them, reset and seeding. The only module that knows the layout.
+
+Every face steps worlds through the one compiled kernel `_advance`, and threads call that same
+machine code on disjoint ranges of worlds. A world's numbers depend on its key, its actions and
+nothing else, so they are bit for bit those of any other number of worlds or threads.
+"""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from typing import Any, NamedTuple, final
+
+import numpy as np
+from gymnasium.utils import seeding
+from numpy.typing import NDArray
+
+from formation_env import kernels
+from formation_env.config import FormationConfig
+from formation_env.kernels import (
+    CLOCK,
+    EPISODE,
+    OUTPUTS,
+    OVER,
+    STARTED,
+    TICK,
+    Constants,
+    Results,
+    State,
+)
+from formation_env.task import Layout
+
+Floats = NDArray[np.float64]
+
+# Below this many vehicles in a call a second thread costs more than it saves.
+_VEHICLES_PER_THREAD = 4096
+
+
+class Snapshot(NamedTuple):
+    """The complete state of a simulation and what it is a state of."""
+
+    config: FormationConfig
+    state: dict[str, NDArray[Any]]
+
+
+@final
+class Simulation:
+    """`num_worlds` independent worlds of one configuration.
+
+    Rows of `actions` are float32 `(num_worlds, followers, action_size)`; results are fresh arrays.
+    Raises `ValueError` for a non-finite action, naming world and follower, before anything changes.
+    """
+
+    def __init__(
+        self,
+        config: FormationConfig,
+        num_worlds: int = 1,
+        threads: int = 1,
+        max_steps: int | None = None,
+    ) -> None:
+        self.config = config
+        self.max_steps = config.max_steps if max_steps is None else min(max_steps, config.max_steps)
+        self.num_worlds = num_worlds
+        self.threads = max(1, min(threads, num_worlds))
+        self.layout: Layout = config.layout
+        self._constants = kernels.constants(config, self.max_steps)
+        self._state = kernels.allocate(config, num_worlds)
+        self._everyone = np.ones(num_worlds, dtype=np.bool_)
+        self._pool: ThreadPoolExecutor | None = None
+        self._pool_owner = 0
+
+    # -- stepping ---------------------------------------------------------------------------------
+
+    def seed(self, world: int, key: int) -> None:
+        """Give a world a new random stream; its next reset starts that stream's first episode."""
+        self._state.keys[world] = key
+        self._state.counters[world, EPISODE] = -1
+
+    def reset(self, mask: NDArray[np.bool_] | None = None) -> Results:
+        """Start a new episode in the worlds of `mask` (all by default)."""
+        return self._run(kernels.RESET, self._no_actions(), mask)
+
+    def step(
+        self, actions: NDArray[np.float32], mode: int = kernels.STEP, mask: Any = None
+    ) -> Results:
+        """One control tick in the worlds of `mask`. `mode` says what happens to ended episodes."""
+        bad = kernels.first_bad_action(actions)
+        if bad >= 0:
+            world, follower = divmod(bad, self.config.followers)
+            where = f" of world {world}" if self.num_worlds > 1 else ""
+            raise ValueError(
+                f"action of follower_{follower}{where} = {actions[world, follower].tolist()}: "
+                "expected finite numbers"
+            )
+        return self._run(mode, actions, mask)
+
+    def look(self) -> Results:
+        """What every follower sees now; changes nothing."""
+        nobody = np.zeros(self.num_worlds, dtype=np.bool_)
+        return self._run(kernels.RESET, self._no_actions(), nobody)
+
+    def _no_actions(self) -> NDArray[np.float32]:
+        return np.zeros((1, self.config.followers, self.config.action_size), dtype=np.float32)
+
+    def _run(self, mode: int, actions: NDArray[np.float32], mask: Any) -> Results:
+        mask = self._everyone if mask is None else mask
+        results = kernels.results(self.config, self.num_worlds, mode)
+        arguments = (mode, actions, mask, self._state, self._constants, results)
+        vehicles = self.num_worlds * (self.config.followers + 1)
+        threads = min(self.threads, 1 + vehicles // _VEHICLES_PER_THREAD)
+        if threads == 1:
+            kernels.advance(0, self.num_worlds, *arguments)
+            return results
+        edges = [self.num_worlds * i // threads for i in range(threads + 1)]
+        jobs = [
+            self._executor().submit(kernels.advance, a, b, *arguments)
+            for a, b in pairwise(edges[1:])
+        ]
+        kernels.advance(edges[0], edges[1], *arguments)
+        for job in jobs:
+            job.result()
+        return results
+
+    def _executor(self) -> ThreadPoolExecutor:
+        # A pool does not survive a fork: its threads are not in the child.
+        if self._pool is None or self._pool_owner != os.getpid():
+            self._pool = ThreadPoolExecutor(self.threads - 1, thread_name_prefix="formation")
+            self._pool_owner = os.getpid()
+        return self._pool
+
+    def close(self) -> None:
+        """Stop the threads, if any were started."""
+        if self._pool is not None and self._pool_owner == os.getpid():
+            self._pool.shutdown()
+        self._pool = None
+
+    # -- looking in -------------------------------------------------------------------------------
+
+    @property
+    def positions(self) -> Floats:
+        """True positions, `(num_worlds, 1 + followers, 3)`, m, inertial; the leader first."""
+        return self._state.vehicles[:, :, 0:3].copy()
+
+    @property
+    def velocities(self) -> Floats:
+        """True velocities, same shape, m/s, inertial."""
+        return self._state.vehicles[:, :, 3:6].copy()
+
+    @property
+    def attitudes(self) -> Floats:
+        """True attitudes, `(num_worlds, 1 + followers, 4)`, quaternions (w, x, y, z)."""
+        return self._state.vehicles[:, :, 6:10].copy()
+
+    @property
+    def angular_velocities(self) -> Floats:
+        """True angular velocities, `(num_worlds, 1 + followers, 3)`, rad/s, body."""
+        return self._state.vehicles[:, :, 10:13].copy()
+
+    @property
+    def started(self) -> NDArray[Any]:
+        """Whether the trigger (40) has fired, per world."""
+        return self._state.counters[:, STARTED] != 0
+
+    @property
+    def seeded(self) -> NDArray[np.bool_]:
+        """Whether an episode has been started since the last `seed`, per world."""
+        return self._state.counters[:, EPISODE] >= 0
+
+    @property
+    def over(self) -> NDArray[Any]:
+        """Whether the episode has ended, per world."""
+        return self._state.counters[:, OVER] != 0
+
+    @property
+    def time(self) -> NDArray[Any]:
+        """Time since reset, s, per world."""
+        return self._state.counters[:, TICK] * self.config.control_period
+
+    @property
+    def clock(self) -> NDArray[Any]:
+        """Time since the trigger (40), s, per world: the argument of the leader's reference."""
+        return self._state.counters[:, CLOCK] * self.config.control_period
+
+    def reference(self, times: Floats, world: int = 0) -> Floats:
+        """The leader's reference positions at `times` since the trigger, `(N, 3)`, m, inertial."""
+        tables = self._state.tables
+        table = tables[world if len(tables) > 1 else 0]
+        return kernels.reference_path(self._constants.trajectory_kind, table, np.asarray(times))
+
+    # -- saving -----------------------------------------------------------------------------------
+
+    def get_state(self) -> Snapshot:
+        """Everything needed to continue identically, as copies."""
+        arrays = {name: array.copy() for name, array in self._state._asdict().items()}
+        return Snapshot(self.config, arrays)
+
+    def set_state(self, snapshot: Snapshot) -> None:
+        """Continue from a snapshot of the same configuration and number of worlds.
+
+        Raises `ValueError` if it comes from another, leaving this simulation as it was.
+        """
+        if not isinstance(snapshot, Snapshot):
+            raise ValueError(
+                f"state is a {type(snapshot).__name__}: expected what get_state returned"
+            )
+        if snapshot.config != self.config:
+            raise ValueError("state was saved under another configuration than this environment's")
+        own = self._state._asdict()
+        for name, array in own.items():
+            saved = snapshot.state.get(name)
+            if saved is None or saved.shape != array.shape or saved.dtype != array.dtype:
+                found = "missing" if saved is None else f"{saved.dtype} {saved.shape}"
+                raise ValueError(
+                    f"state[{name!r}] is {found}: expected {array.dtype} {array.shape}"
+                )
+        for name, array in own.items():
+            array[...] = snapshot.state[name]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_pool": None}
+
+
+def stream_key(generator: np.random.Generator) -> int:
+    """A 64-bit key for one world's random stream, drawn from `np_random`."""
+    return int(generator.integers(0, 2**64, dtype=np.uint64))
+
+
+def seeded_key(seed: int | None) -> int:
+    """The key that `reset(seed=seed)` gives a single environment."""
+    return stream_key(seeding.np_random(seed)[0])
+
+
+__all__ = ["OUTPUTS", "Constants", "Results", "Simulation", "Snapshot", "State"]

@@ -1,0 +1,246 @@
+"""The Gymnasium vector face: many worlds in one call. `gym.make_vec("Formation-v0", num_envs=...)`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any, ClassVar, final
+
+import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from formation_env import faces
+from formation_env.config import FormationConfig
+from formation_env.kernels import STEP, STEP_AND_RESET, STEP_OR_RESET, Results
+from formation_env.scenarios import configure
+from formation_env.simulation import Simulation, Snapshot, seeded_key
+
+Array = NDArray[Any]
+
+_MODES = {
+    AutoresetMode.NEXT_STEP: STEP_OR_RESET,
+    AutoresetMode.SAME_STEP: STEP_AND_RESET,
+    AutoresetMode.DISABLED: STEP,
+}
+
+
+@final
+class FormationVectorEnv(VectorEnv[Array, Array, Array]):
+    """`num_envs` independent `Formation-v0` worlds, stepped by one compiled call.
+
+    World i gives bit for bit the numbers of `gym.make("Formation-v0", ...)` with seed `seed + i`, in
+    all three autoreset modes, for any number of worlds and threads: what
+    `gymnasium.vector.SyncVectorEnv` would return, dtypes and `info` masks included. Arguments and
+    spaces as `FormationEnv`, and:
+
+    `num_envs`: how many worlds. `max_episode_steps`: truncates earlier than the scenario's duration.
+    `autoreset_mode`: `NEXT_STEP` (Gymnasium's default), `SAME_STEP` or `DISABLED`, as enumeration or
+    name; with `DISABLED`, `reset(options={"reset_mask": mask})` restarts the worlds of a boolean mask.
+    `threads`: at most this many, by default one per core; they change no number.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": ["rgb_array"],
+        "render_fps": 50,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        scenario: str | FormationConfig = "nominal",
+        *,
+        followers: int | None = None,
+        max_episode_steps: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        threads: int | None = None,
+        render_mode: str | None = None,
+        **options: Any,
+    ) -> None:
+        _positive("num_envs", num_envs)
+        if max_episode_steps is not None:
+            _positive("max_episode_steps", max_episode_steps)
+        if threads is not None:
+            _positive("threads", threads)
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode = {render_mode!r}: expected 'rgb_array' or None")
+        self.autoreset_mode = _autoreset_mode(autoreset_mode)
+        self.config = configure(scenario, followers=followers, **options)
+        self.num_envs = int(num_envs)
+        self.render_mode = render_mode
+        self.metadata = {
+            **self.metadata,
+            "render_fps": round(1.0 / self.config.control_period),
+            "autoreset_mode": self.autoreset_mode,
+        }
+        self.single_observation_space = faces.observation_space(self.config, self.config.followers)
+        self.single_action_space = faces.action_space(self.config, self.config.followers)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        workers = os.cpu_count() or 1 if threads is None else threads
+        self._simulation = Simulation(self.config, self.num_envs, workers, max_episode_steps)
+        self._begun = np.zeros(self.num_envs, dtype=np.bool_)
+        self._slots: NDArray[np.float64] | None = None
+        self._renderers: list[Any] = []
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Array, dict[str, Any]]:
+        """Start episodes: world i from `seed + i`, or `seed[i]`, or its stream's next episode."""
+        seeds = self._seeds(seed)
+        mask = self._reset_mask(options)
+        anew = np.flatnonzero(mask & (~self._begun | np.array([s is not None for s in seeds])))
+        keys = [seeded_key(seeds[i]) for i in anew]  # all of them, before anything changes
+        for i, key in zip(anew, keys, strict=True):
+            self._simulation.seed(int(i), key)
+        self._begun |= mask
+        if self._renderers:
+            for i in np.flatnonzero(mask):
+                self._renderers[i].clear()
+        results = self._simulation.reset(mask)
+        return self._rows(results.observations), self._info(results.outputs, mask)
+
+    def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
+        """One control tick in every world."""
+        if not self._begun.all():
+            raise ResetNeeded("some worlds have not begun: call reset() before step()")
+        mode = _MODES[self.autoreset_mode]
+        if mode == STEP and self._simulation.over.any():
+            over = np.flatnonzero(self._simulation.over)[:5].tolist()
+            raise ResetNeeded(f"worlds {over}... are over: reset them with a reset_mask first")
+        n, k = self.config.followers, self.config.action_size
+        rows = faces.read_action(actions, (self.num_envs, n * k), "actions")
+        if mode == STEP_OR_RESET and self._simulation.over.any():
+            rows[self._simulation.over] = (
+                0.0  # these worlds are reset: their actions are not looked at
+            )
+        results = self._simulation.step(rows.reshape(self.num_envs, n, k), mode)
+        everyone = np.ones(self.num_envs, dtype=np.bool_)
+        info = self._info(results.outputs, everyone)
+        done = results.terminated | results.truncated
+        if mode == STEP_AND_RESET and done.any():
+            info |= self._final(results, done)
+        rows = self._rows(results.observations)
+        return rows, results.rewards, results.terminated, results.truncated, info
+
+    def _final(self, results: Results, done: NDArray[np.bool_]) -> dict[str, Any]:
+        """What the ended episodes looked like at their last step."""
+        last = np.full(self.num_envs, None, dtype=object)
+        for i in np.flatnonzero(done):
+            last[i] = results.final_observations[i].reshape(-1)
+        return {
+            "final_obs": last,
+            "_final_obs": done.copy(),
+            "final_info": _masked(faces.describe(results.final_outputs), done),
+            "_final_info": done.copy(),
+        }
+
+    def _rows(self, observations: Array) -> Array:
+        return observations.reshape(self.num_envs, -1)
+
+    def _info(self, outputs: NDArray[np.float64], mask: NDArray[np.bool_]) -> dict[str, Any]:
+        info = faces.describe(outputs)
+        if self.render_mode is not None:
+            self._slots = info["slots"].copy()  # the caller may write into what it was given
+        return _masked(info, mask)
+
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, (int, np.integer)):
+            return [int(seed) + i for i in range(self.num_envs)]
+        if isinstance(seed, str) or not isinstance(seed, (Sequence, np.ndarray)):
+            raise ValueError(f"seed = {seed!r}: expected an integer, one per world, or None")
+        if len(seed) != self.num_envs:
+            raise ValueError(f"seed has {len(seed)} entries: expected {self.num_envs}")
+        return [None if s is None else int(s) for s in seed]
+
+    def _reset_mask(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
+        if options is None or "reset_mask" not in options:
+            return np.ones(self.num_envs, dtype=np.bool_)
+        mask = options["reset_mask"]
+        good = isinstance(mask, np.ndarray) and mask.dtype == np.bool_
+        if not good or mask.shape != (self.num_envs,) or not mask.any():
+            raise ValueError(
+                f"options['reset_mask'] = {mask!r}: expected a boolean array of shape "
+                f"({self.num_envs},) with at least one True"
+            )
+        return np.array(mask)
+
+    def render(self) -> tuple[Array, ...] | None:
+        """One frame per world in mode `rgb_array`."""
+        if self.render_mode is None:
+            return None
+        if self._slots is None:
+            raise ResetNeeded("nothing to draw yet: call reset() before render()")
+        if not self._renderers:
+            self._renderers = [
+                faces.make_renderer(self.config, self.render_mode) for _ in range(self.num_envs)
+            ]
+        slots = self._slots
+        return tuple(
+            faces.draw(renderer, self._simulation, slots[i], i)
+            for i, renderer in enumerate(self._renderers)
+        )
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Stop the threads."""
+        for renderer in self._renderers:
+            renderer.close()
+        self._renderers = []
+        self._simulation.close()
+
+    @property
+    def simulation(self) -> Simulation:
+        """The worlds behind the environment: true positions, attitudes, times."""
+        return self._simulation
+
+    def get_state(self) -> Snapshot:
+        """Everything needed to continue identically from here."""
+        return self._simulation.get_state()
+
+    def set_state(self, state: Snapshot) -> None:
+        """Continue from a state that `get_state` of the same configuration and size returned."""
+        self._simulation.set_state(state)
+        self._begun = self._simulation.seeded
+        self._slots = self._simulation.look().outputs[..., 5:8]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_renderers": []}
+
+
+def _masked(info: dict[str, Any], mask: NDArray[np.bool_]) -> dict[str, Any]:
+    """Gymnasium's form: beside each array `_name`, the worlds it speaks of; zeros elsewhere."""
+    named: dict[str, Any] = {}
+    for name, value in info.items():
+        if isinstance(value, dict):
+            named[name] = _masked(value, mask)
+        else:
+            if not mask.all():
+                value = value.copy()
+                value[~mask] = 0
+            named[name] = value
+        named[f"_{name}"] = mask.copy()
+    return named
+
+
+def _positive(name: str, value: Any) -> None:
+    integral = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not integral or value < 1:
+        raise ValueError(f"{name} = {value!r}: expected an integer of at least 1")
+
+
+def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    if isinstance(mode, AutoresetMode):
+        return mode
+    for known in AutoresetMode:
+        if str(mode).lower() in (known.name.lower(), str(known.value).lower()):
+            return known
+    allowed = ", ".join(known.name for known in AutoresetMode)
+    raise ValueError(f"autoreset_mode = {mode!r}: expected one of {allowed}")
