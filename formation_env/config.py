@@ -85,17 +85,15 @@ def _vector(name: str, value: Any, low: float = -inf) -> Vector:
     return (x, y, z)
 
 
-def _table(name: str, value: Any, width: int = 3) -> tuple[Vector, ...]:
-    """Rows of three finite numbers."""
+def rows(name: str, value: Any) -> tuple[Vector, ...]:
+    """`value` as rows of three finite numbers."""
     try:
-        rows = np.asarray(value, dtype=np.float64)
+        table = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"{name} = {value!r}: expected rows of {width} numbers") from None
-    if rows.ndim != 2 or rows.shape[1] != width or len(rows) == 0 or not np.isfinite(rows).all():
-        raise ValueError(
-            f"{name} has shape {rows.shape}: expected (followers, {width}) finite numbers"
-        )
-    return tuple((float(a), float(b), float(c)) for a, b, c in rows)
+        raise ValueError(f"{name} = {value!r}: expected rows of 3 numbers") from None
+    if table.ndim != 2 or table.shape[1] != 3 or len(table) == 0 or not np.isfinite(table).all():
+        raise ValueError(f"{name} = {value!r}: expected (followers, 3) finite numbers")
+    return tuple((float(a), float(b), float(c)) for a, b, c in table)
 
 
 @final
@@ -140,7 +138,7 @@ class FormationConfig:
     neighbours: int = 2
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "offsets", _table("offsets", self.offsets))
+        object.__setattr__(self, "offsets", rows("offsets", self.offsets))
         object.__setattr__(self, "reference_max", _vector("reference_max", self.reference_max, 0.0))
         self._check_choices()
         self._check_numbers()
@@ -266,7 +264,7 @@ class FormationConfig:
         if self.leader_start is not None:
             object.__setattr__(self, "leader_start", _vector("leader_start", self.leader_start))
         if self.follower_starts is not None:
-            starts = _table("follower_starts", self.follower_starts)
+            starts = rows("follower_starts", self.follower_starts)
             object.__setattr__(self, "follower_starts", starts)
             require(
                 len(starts) == self.followers,
@@ -337,8 +335,8 @@ class FormationConfig:
         leader = self.leader_start or (p[0], p[1], 0.0)
         if self.follower_starts is not None:
             return (leader, *self.follower_starts)
-        rows = formations.grid(self.followers, columns=ceil(sqrt(self.followers)), plane="xy")
-        places = [out_of_frame(R, (-float(d[0]), -float(d[1]), 0.0)) for d in rows]
+        grid = formations.grid(self.followers, columns=ceil(sqrt(self.followers)), plane="xy")
+        places = [out_of_frame(R, (-float(d[0]), -float(d[1]), 0.0)) for d in grid]
         return (leader, *((leader[0] + x, leader[1] + y, 0.0) for x, y, _ in places))
 
     @cached_property

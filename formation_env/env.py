@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import gymnasium as gym
 import numpy as np
@@ -124,7 +124,7 @@ class FormationEnv(gym.Env[Observation, NDArray[np.float32]]):
     * v0: initial version. Observation layout version 1.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: dict[str, Any] = {  # noqa: RUF012
         "render_modes": list(faces.RENDER_MODES),
         "render_fps": 50,
     }

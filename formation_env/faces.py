@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 RENDER_MODES = ("human", "rgb_array")
 
 
-def observation_space(config: FormationConfig, rows: int) -> spaces.Box:
+def observation_space(config: FormationConfig, rows: int) -> Any:
     """`rows` observation rows side by side, finite bounds, float32."""
     bound = np.tile(config.layout.bound, rows)
     return spaces.Box(-bound, bound, dtype=np.float32)
 
 
-def action_space(config: FormationConfig, rows: int) -> spaces.Box:
+def action_space(config: FormationConfig, rows: int) -> Any:
     """`rows` actions side by side in [-1, 1], float32."""
     return spaces.Box(-1.0, 1.0, (rows * config.action_size,), dtype=np.float32)
 
@@ -75,8 +75,8 @@ def make_renderer(config: FormationConfig, mode: str) -> Renderer:
 
 def draw(
     renderer: Renderer, simulation: Simulation, slots: NDArray[np.float64], world: int = 0
-) -> NDArray[np.uint8] | None:
-    """One frame of a world; `slots` as in its last `info`."""
+) -> Any:
+    """One frame of a world, None in a window; `slots` as in its last `info`."""
     from formation_env.rendering import Scene
 
     clock = float(simulation.clock[world])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import gymnasium as gym
 import numpy as np
@@ -13,6 +13,7 @@ from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils import parallel_to_aec, wrappers
 
 from formation_env import faces
+from formation_env.checks import integer
 from formation_env.config import FormationConfig
 from formation_env.scenarios import configure
 from formation_env.simulation import Simulation, Snapshot, seeded_key
@@ -29,7 +30,7 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
     about the world, for centralised critics. `max_cycles` truncates earlier than the duration.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: dict[str, Any] = {  # noqa: RUF012
         "name": "formation_v0",
         "render_modes": list(faces.RENDER_MODES),
         "render_fps": 50,
@@ -56,18 +57,24 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
             faces.observation_space(self.config, 1),
             faces.action_space(self.config, 1),
         )
-        self.observation_spaces = dict.fromkeys(self.possible_agents, observation)
-        self.action_spaces = dict.fromkeys(self.possible_agents, action)
+        self.observation_spaces: dict[str, spaces.Box] = dict.fromkeys(self.possible_agents, observation)
+        self.action_spaces: dict[str, spaces.Box] = dict.fromkeys(self.possible_agents, action)
         self.state_space = _state_space(n)
-        self._simulation = Simulation(self.config, max_steps=max_cycles)
+        self._simulation = Simulation(self.config)
+        if max_cycles is not None:
+            self.max_cycles = max_cycles
         self._seeded = False
         self._slots: NDArray[np.float64] | None = None
         self._renderer: Any = None
 
     @property
     def max_cycles(self) -> int:
-        """Steps after which the episode is truncated."""
+        """Steps after which an episode is truncated; may be set, up to the configured duration."""
         return self._simulation.max_steps
+
+    @max_cycles.setter
+    def max_cycles(self, steps: int) -> None:
+        self._simulation.limit(integer("max_cycles", steps, 1))
 
     def observation_space(self, agent: str) -> spaces.Box:
         """The space of one agent's observations; the same object each time."""
@@ -124,7 +131,7 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
 
     def _read(self, actions: dict[str, Array]) -> Array:
         if not isinstance(actions, dict) or actions.keys() != set(self.agents):
-            found = sorted(actions) if isinstance(actions, dict) else type(actions).__name__
+            found = list(actions) if isinstance(actions, dict) else type(actions).__name__
             raise ValueError(f"actions for {found}: expected one for each of {self.agents}")
         shape = (self.config.action_size,)
         rows = [faces.read_action(actions[a], shape, f"action of {a}") for a in self.agents]

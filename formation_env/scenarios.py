@@ -21,7 +21,7 @@ import numpy as np
 
 from formation_env import formations
 from formation_env.checks import integer, require
-from formation_env.config import MAX_FOLLOWERS, FormationConfig, Vehicle
+from formation_env.config import MAX_FOLLOWERS, FormationConfig, Vehicle, rows
 from formation_env.feasibility import FeasibilityWarning, require_feasible
 from formation_env.gains import PlannerGains
 from formation_env.sensors import Noise
@@ -40,7 +40,7 @@ PAPER_NOISE = Noise(
 
 def nominal(followers: int = 2) -> FormationConfig:
     """Trajectory (31), III-C's pair (or a stack of pairs), start near the formation, no noise."""
-    return FormationConfig(offsets=formations.stack(followers))
+    return FormationConfig(offsets=rows("offsets", formations.stack(followers)))
 
 
 def paper(followers: int = 2) -> FormationConfig:
@@ -48,7 +48,7 @@ def paper(followers: int = 2) -> FormationConfig:
     pair = ((-0.5, -1.0, 0.0), (-2.0, 1.0, 0.0))
     return FormationConfig(
         scenario="paper",
-        offsets=formations.stack(followers),
+        offsets=rows("offsets", formations.stack(followers)),
         start="ground",
         leader_start=(0.0, 0.0, 0.0) if followers == 2 else None,
         follower_starts=pair if followers == 2 else None,
@@ -67,7 +67,7 @@ def experiment(followers: int = 2) -> FormationConfig:
     pair = ((-0.57, -0.37, 0.0), (-1.26, -0.77, 0.0))
     return FormationConfig(
         scenario="experiment",
-        offsets=formations.stack(followers),
+        offsets=rows("offsets", formations.stack(followers)),
         trajectory=lemniscate(),
         action="rates",
         start="ground",
@@ -93,7 +93,7 @@ def agile(followers: int = 2) -> FormationConfig:
     """The leader on random smooth trajectories of up to 2.1 m/s, a new one each episode."""
     return FormationConfig(
         scenario="agile",
-        offsets=formations.stack(followers),
+        offsets=rows("offsets", formations.stack(followers)),
         trajectory=random_smooth(speed=1.5, variation=0.6, acceleration=1.0),
     )
 
@@ -107,7 +107,7 @@ def swarm(followers: int = 16) -> FormationConfig:
     size = max(1.0, 1.1 * 2.4 * reach)
     return FormationConfig(
         scenario="swarm",
-        offsets=offsets,
+        offsets=rows("offsets", offsets),
         trajectory=figure_eight(amplitude=(2.0 * size, size), rate=0.5 / size),
     )
 
@@ -136,7 +136,11 @@ def configure(
     if isinstance(scenario, FormationConfig):
         if followers is not None:
             raise ValueError(f"followers = {followers!r}: give `offsets` to change a configuration")
-        return replace(scenario, **overrides)
+        if {"offsets", "trajectory"} & set(overrides):
+            return replace(scenario, **overrides)
+        with warnings.catch_warnings():  # it warned when it was made
+            warnings.simplefilter("ignore", FeasibilityWarning)
+            return replace(scenario, **overrides)
     named = isinstance(scenario, str) and scenario in SCENARIOS
     require(named, "scenario", scenario, "one of " + ", ".join(map(repr, SCENARIOS)))
     if followers is not None:

@@ -135,6 +135,11 @@ class Simulation:
             self._pool.shutdown()
         self._pool = None
 
+    def limit(self, max_steps: int) -> None:
+        """Truncate episodes after so many ticks, or at the configured duration if that is earlier."""
+        self.max_steps = min(max_steps, self.config.max_steps)
+        self._constants = self._constants._replace(max_steps=self.max_steps)
+
     # -- looking in -------------------------------------------------------------------------------
 
     @property
@@ -160,7 +165,7 @@ class Simulation:
     @property
     def started(self) -> NDArray[Any]:
         """Whether the trigger (40) has fired, per world."""
-        return self._state.counters[:, STARTED] != 0
+        return np.not_equal(self._state.counters[:, STARTED], 0)
 
     @property
     def seeded(self) -> NDArray[np.bool_]:
@@ -170,7 +175,7 @@ class Simulation:
     @property
     def over(self) -> NDArray[Any]:
         """Whether the episode has ended, per world."""
-        return self._state.counters[:, OVER] != 0
+        return np.not_equal(self._state.counters[:, OVER], 0)
 
     @property
     def time(self) -> NDArray[Any]:

@@ -1,0 +1,40 @@
+"""One figure of the results as text."""
+
+from __future__ import annotations
+
+from math import isfinite
+
+from baselines.intervals import Estimate
+from baselines.metrics import EPISODE
+
+
+def figure(name: str, x: float) -> str:
+    """A value of the metric `name`."""
+    if not isfinite(x):
+        return "-"
+    if name in ("failed", "settled"):
+        return f"{100.0 * x:.0f} %"
+    if EPISODE[name].unit == "s":
+        return f"{x:.2f}"
+    return f"{x:.3f}" if x == 0.0 or x >= 0.001 else f"{x:.1e}"
+
+
+def scored(s: Estimate) -> str:
+    """A score with its interval."""
+    exact = s.low == s.high
+    return f"{s.value:.3f}" if exact else f"{s.value:.3f} ({s.low:.3f} .. {s.high:.3f})"
+
+
+def interval(name: str, e: Estimate) -> str:
+    """A figure of the metric `name` with its interval."""
+    value = figure(name, e.value)
+    if e.low == e.high or e.episodes == 0:
+        return value
+    return f"{value} ({figure(name, e.low)} .. {figure(name, e.high)})"
+
+
+def signed(e: Estimate) -> str:
+    """A difference with its interval."""
+    if e.value == e.low == e.high == 0.0:
+        return "0"
+    return f"{e.value:+.3f} ({e.low:+.3f} .. {e.high:+.3f})"

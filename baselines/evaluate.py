@@ -1,0 +1,245 @@
+"""Score policies on scenarios: `python -m baselines.evaluate`, or `formation-evaluate`.
+
+Every policy flies the same episodes: world i of a scenario has the seed `seed + i`, as
+`gym.make(...).reset(seed=seed + i)` has. Hover and the expert always fly, because they are the 0 and the 1
+of the score. Results do not depend on the number of threads.
+
+Prints a table and writes `results.json` (layout: see `baselines.report`) and `results.md` into the
+output folder. `--leaderboard` also writes `LEADERBOARD.md` and the README's extract of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from collections.abc import Iterable, Sequence
+from math import isfinite
+from pathlib import Path
+from typing import Any, NoReturn, final
+
+import formation_env
+from baselines import report
+from baselines.explanations import explanations
+from baselines.registry import POLICIES
+from baselines.scoring import EPISODES, Report, evaluate
+from formation_env import SCENARIOS, FormationConfig, configure
+from formation_env.config import LEVELS
+
+BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"
+
+
+# -- files ----------------------------------------------------------------------------------------
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file whole or not at all: whoever is interrupted leaves the old one."""
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+        os.chmod(name, 0o644)
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def leaderboard(result: Report, command: str) -> str:
+    """The text of LEADERBOARD.md."""
+    layout = next(iter(result.scenarios.values())).config.layout.version
+    last = result.seed + result.episodes - 1
+    return (
+        "# Leaderboard\n\n"
+        "Written by the command below; do not edit.\n\n"
+        f"```bash\n{command}\n```\n\n"
+        f"`Formation-v0`, observation layout {layout}, package {formation_env.__version__}. "
+        f"{result.episodes} episodes for each scenario and policy, seeds {result.seed} to {last}, the same "
+        f"for every policy.\n\n{report.markdown(result)}"
+    )
+
+
+def with_extract(readme: str, extract: str) -> str:
+    """README text with the part between the leaderboard's markers replaced.
+
+    Raises `ValueError` unless each marker stands there once, in order.
+    """
+    once = readme.count(BEGIN) == readme.count(END) == 1
+    if not once or readme.index(END) < readme.index(BEGIN):
+        raise ValueError(f"expected the lines {BEGIN} and {END} once each, in this order")
+    before, rest = readme.split(BEGIN)
+    return f"{before}{BEGIN}\n{extract}\n{END}{rest.split(END)[1]}"
+
+
+# -- command line ---------------------------------------------------------------------------------
+
+
+@final
+class _Parser(argparse.ArgumentParser):
+    """Says in one line what is wrong."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: error: {message}\n")
+
+
+def _whole(low: int, high: int) -> Any:
+    def read(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = low - 1
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(
+                f"{text!r}: expected a whole number from {low} to {high}"
+            )
+        return value
+
+    return read
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not (isfinite(value) and value > 0.0):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a time in seconds above 0")
+    return value
+
+
+def _names(known: Iterable[str]) -> Any:
+    def read(text: str) -> list[str]:
+        names = [name for name in text.replace(",", " ").split() if name]
+        for name in names or [text]:
+            if name not in known:
+                raise argparse.ArgumentTypeError(f"{name!r}: expected some of {', '.join(known)}")
+        return list(dict.fromkeys(names))
+
+    return read
+
+
+def _parser() -> _Parser:
+    parser = _Parser(
+        prog="formation-evaluate",
+        description="Score policies on scenarios, on the same seeds for every policy.",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+        allow_abbrev=False,
+    )
+    add = parser.add_argument
+    add("--policies", type=_names(POLICIES), default=",".join(POLICIES), metavar="NAMES",
+        help=f"comma-separated, of {', '.join(POLICIES)}")  # fmt: skip
+    add("--scenarios", type=_names(SCENARIOS), default=",".join(SCENARIOS), metavar="NAMES",
+        help=f"comma-separated, of {', '.join(SCENARIOS)}")  # fmt: skip
+    add("--episodes", type=_whole(1, 1_000_000), default=EPISODES, metavar="N",
+        help="for each scenario and policy")  # fmt: skip
+    add("--seed", type=_whole(0, 2**32), default=0, metavar="N", help="of the first episode")
+    add("--action", choices=tuple(LEVELS), help="action level instead of the scenario's own")
+    add("--duration", type=_seconds, metavar="S", help="episode length instead of the scenario's")
+    add(
+        "--output", type=Path, default=Path("results"), metavar="DIR", help="folder for the results"
+    )
+    add("--threads", type=_whole(1, 1024), default=os.cpu_count() or 1, metavar="N", help="workers")
+    add("--leaderboard", type=Path, nargs="?", const=Path(), metavar="DIR",
+        help="also write LEADERBOARD.md and README.md's extract of it in this checkout "
+        "(by default the current folder)")  # fmt: skip
+    return parser
+
+
+def _configs(options: argparse.Namespace) -> dict[str, FormationConfig]:
+    """The chosen scenarios with the overrides. Raises `ValueError` naming scenario and field."""
+    given = {"action": options.action, "duration": options.duration}
+    overrides = {k: v for k, v in given.items() if v is not None}
+    configs = {}
+    for name in options.scenarios:
+        try:
+            configs[name] = configure(name, **overrides)
+        except ValueError as problem:
+            raise ValueError(f"scenario {name}: {problem}") from None
+    return configs
+
+
+def _prepare(folder: Path, names: Sequence[str]) -> None:
+    """Make sure that these files can be written. Raises `ValueError` naming what cannot."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as problem:
+        reason = problem.strerror or problem
+        raise ValueError(
+            f"cannot write into {folder}: {reason}; expected a writable folder"
+        ) from None
+    for name in names:
+        if (folder / name).is_dir():
+            raise ValueError(f"{folder / name} is a folder: expected a file or nothing")
+
+
+def _check_readme(checkout: Path) -> None:
+    """Make sure that the README can take the extract."""
+    path = checkout / "README.md"
+    try:
+        with_extract(path.read_text(encoding="utf-8"), "")
+    except (OSError, ValueError) as problem:
+        reason = problem.strerror if isinstance(problem, OSError) else problem
+        raise ValueError(f"argument --leaderboard: {path}: {reason}") from None
+
+
+def _command(options: argparse.Namespace) -> str:
+    """The command that repeats the figures: without what does not change them."""
+    words = ["python -m baselines.evaluate"]
+    chosen = {"policies": list(POLICIES), "scenarios": list(SCENARIOS)}
+    for name, everything in chosen.items():
+        if getattr(options, name) != everything:
+            words.append(f"--{name} {','.join(getattr(options, name))}")
+    for name, usual in {"episodes": EPISODES, "seed": 0, "action": None, "duration": None}.items():
+        if getattr(options, name) != usual:
+            words.append(f"--{name} {getattr(options, name)}")
+    return " ".join([*words, "--leaderboard"])
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    try:
+        configs = _configs(options)
+        if options.leaderboard is not None:
+            _check_readme(options.leaderboard)
+            _prepare(options.leaderboard, ["LEADERBOARD.md"])
+        _prepare(options.output, ["results.json", "results.md"])
+    except ValueError as problem:
+        parser.error(str(problem))
+    try:
+        result = evaluate(
+            configs, options.policies, options.episodes, options.seed, options.threads, quiet=False
+        )
+    except KeyboardInterrupt:
+        print("interrupted: nothing was written", file=sys.stderr)
+        return 130
+    print(report.table(result))
+    for remark in explanations(result):
+        print(f"\n{remark}")
+    try:
+        _write(result, options)
+    except OSError as problem:
+        print(f"{parser.prog}: error: {problem}; earlier results are kept", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _write(result: Report, options: argparse.Namespace) -> None:
+    folder: Path = options.output
+    write_text(folder / "results.json", report.to_json(result))
+    write_text(folder / "results.md", "# Results\n\n" + report.markdown(result))
+    print(f"\nwritten: {folder / 'results.json'}, {folder / 'results.md'}")
+    if options.leaderboard is not None:
+        readme = options.leaderboard / "README.md"
+        write_text(options.leaderboard / "LEADERBOARD.md", leaderboard(result, _command(options)))
+        text = with_extract(readme.read_text(encoding="utf-8"), report.extract(result))
+        write_text(readme, text)
+        print(f"written: {options.leaderboard / 'LEADERBOARD.md'}, {readme}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,74 @@
+"""What a baseline is: a function from observations to actions, batched over worlds and followers.
+
+One implementation serves one world and ten thousand: observations come as rows of any leading shape
+whose last axis is one follower's row, or one world's rows side by side, and actions go back in the
+same form.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formation_env import FormationConfig
+
+Rows = NDArray[np.float32]
+
+
+class Policy(ABC):
+    """A policy for one configuration.
+
+    Subclasses implement `begin` and `decide` on rows `(worlds, followers, entries)`. They are final.
+    """
+
+    name: str
+
+    def __init__(self, config: FormationConfig) -> None:
+        self.config = config
+        self.layout = config.layout
+        self._worlds = -1
+
+    def reset(self, seed: int | None = None, worlds: int = 1) -> None:
+        """Forget everything: episodes begin in `worlds` worlds. World i draws from `seed + i`.
+
+        `act` calls it by itself when it first sees a number of worlds; with a policy that remembers,
+        call it whenever the environments are reset.
+        """
+        self._worlds = worlds
+        first = 0 if seed is None else seed
+        self.begin(np.arange(first, first + worlds, dtype=np.uint64))
+
+    def act(self, observation: NDArray[Any]) -> Rows:
+        """Actions for observations of shape `(entries,)`, `(followers, entries)`, `(worlds,
+        followers, entries)` or with the followers' entries side by side, as the Gymnasium faces
+        give them. Raises `ValueError` for any other shape.
+        """
+        n, size, k = self.config.followers, self.layout.size, self.config.action_size
+        observation = np.asarray(observation, dtype=np.float32)
+        shape = observation.shape
+        if shape in ((n * size,), (n, size)):
+            worlds = 1
+            result: tuple[int, ...] = (n * k,) if len(shape) == 1 else (n, k)
+        elif len(shape) == 2 and shape[1] == n * size:
+            worlds, result = shape[0], (shape[0], n * k)
+        elif len(shape) == 3 and shape[1:] == (n, size):
+            worlds, result = shape[0], (shape[0], n, k)
+        else:
+            raise ValueError(
+                f"observation has shape {shape}: expected ({n}, {size}), ({n * size},), or either "
+                "with the number of worlds in front"
+            )
+        if worlds != self._worlds:
+            self.reset(worlds=worlds)
+        return self.decide(observation.reshape(worlds, n, size)).reshape(result)
+
+    @abstractmethod
+    def begin(self, seeds: NDArray[np.uint64]) -> None:
+        """Start episodes, one world per seed."""
+
+    @abstractmethod
+    def decide(self, rows: Rows) -> Rows:
+        """Actions `(worlds, followers, action_size)` for rows `(worlds, followers, entries)`."""

@@ -1,0 +1,203 @@
+"""The results of an evaluation as a table, as Markdown and as JSON.
+
+The JSON document, `results.json` (no NaN: a figure that no episode has is null):
+
+    {"schema": 1, "environment": "Formation-v0", "package": version, "layout": observation layout version,
+     "seed": first seed, "episodes": number per scenario (seeds seed ... seed + episodes - 1),
+     "interval": {"level", "method", "resamples"},
+     "metrics": {name: {"unit", "better", "meaning"}},
+     "scenarios": {name: {
+         "action": level, "followers": n, "duration": s,
+         "policies": {name: {
+             "score": estimate, "metrics": {name: estimate},
+             "difference_to_expert": {"return": estimate, "slot_error_rms": estimate},
+             "failures": {kind: episodes}}},
+         "expert_measuring": null or {name: estimate}}}}
+
+with `estimate = {"value", "low", "high", "episodes"}`: the mean over so many episodes (of `settling_time`
+the median) and its 95 % interval. `difference_to_expert` is the mean of policy minus expert on equal seeds.
+`expert_measuring` is the expert where velocities and accelerations are measured instead of differenced
+from positions; it is flown only where that may explain why another policy scores above the expert.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from math import isfinite
+from typing import Any
+
+import formation_env
+from baselines.cells import figure, interval, scored, signed
+from baselines.explanations import explanations
+from baselines.intervals import LEVEL, RESAMPLES, Estimate
+from baselines.metrics import EPISODE
+from baselines.scoring import COMPARED, Report, Result, Scenario
+from formation_env import FormationConfig
+
+SCORE = "normalised score: mean return, 0 as hover's and 1 as the expert's on the same seeds"
+
+# -- JSON -----------------------------------------------------------------------------------------
+
+
+def to_json(report: Report) -> str:
+    """The document described above."""
+    document = {
+        "schema": 1,
+        "environment": "Formation-v0",
+        "package": formation_env.__version__,
+        "layout": next(iter(report.scenarios.values())).config.layout.version,
+        "seed": report.seed,
+        "episodes": report.episodes,
+        "interval": {
+            "level": LEVEL,
+            "method": "percentile bootstrap",
+            "resamples": RESAMPLES,
+        },
+        "metrics": {name: metric._asdict() for name, metric in EPISODE.items()},
+        "scenarios": {name: _scenario(each) for name, each in report.scenarios.items()},
+    }
+    return json.dumps(document, indent=1, allow_nan=False) + "\n"
+
+
+def _scenario(scenario: Scenario) -> dict[str, Any]:
+    config = scenario.config
+    return {
+        "action": config.action,
+        "followers": config.followers,
+        "duration": config.duration,
+        "policies": {name: _result(result) for name, result in scenario.results.items()},
+        "expert_measuring": _estimates(scenario.measuring) if scenario.measuring else None,
+    }
+
+
+def _result(result: Result) -> dict[str, Any]:
+    return {
+        "score": _estimate(result.score),
+        "metrics": _estimates(result.summary),
+        "difference_to_expert": _estimates(result.differences),
+        "failures": result.failures,
+    }
+
+
+def _estimates(each: dict[str, Estimate]) -> dict[str, Any]:
+    return {name: _estimate(e) for name, e in each.items()}
+
+
+def _estimate(e: Estimate) -> dict[str, float | int | None]:
+    return {k: x if isfinite(x) else None for k, x in e._asdict().items()}
+
+
+# -- text -----------------------------------------------------------------------------------------
+
+_COLUMNS = {
+    "slot_error_rms": "error m",
+    "slot_error_steady": "steady m",
+    "slot_error_max": "max m",
+    "settled": "settled",
+    "settling_time": "after s",
+    "leader_deviation": "lead dev m",
+    "follower_deviation": "foll dev m",
+    "min_separation": "least gap m",
+    "failed": "failed",
+    "effort": "effort",
+    "smoothness": "change",
+}
+
+
+def table(report: Report) -> str:
+    """The main figures for a terminal, one line for each policy and scenario."""
+    head = ["scenario", "policy", "score", "95 % interval", *_COLUMNS.values()]
+    rows = [head]
+    for name, scenario in report.scenarios.items():
+        for policy, result in scenario.results.items():
+            s = result.score
+            figures = [figure(key, result.summary[key].value) for key in _COLUMNS]
+            interval = f"{s.low:.3f} .. {s.high:.3f}"
+            rows.append([name, policy, f"{s.value:.3f}", interval, *figures])
+    widths = [max(len(row[k]) for row in rows) for k in range(len(head))]
+    return "\n".join(_line(row, widths) for row in rows)
+
+
+def _line(row: list[str], widths: list[int]) -> str:
+    names = [x.ljust(w) for x, w in zip(row[:2], widths, strict=False)]
+    figures = [x.rjust(w) for x, w in zip(row[2:], widths[2:], strict=True)]
+    return "  ".join(names + figures)
+
+
+# -- Markdown -------------------------------------------------------------------------------------
+
+
+def overview(report: Report) -> str:
+    """Scores with their intervals: a row for each policy, a column for each scenario."""
+    return _grid(report, scored)
+
+
+def extract(report: Report) -> str:
+    """The same without intervals, for the README."""
+    return _grid(report, lambda score: f"{score.value:.2f}")
+
+
+def _grid(report: Report, cell: Callable[[Estimate], str]) -> str:
+    policies = dict.fromkeys(p for s in report.scenarios.values() for p in s.results)
+    rows = [
+        ["policy", *(f"`{name}`" for name in report.scenarios)],
+        ["---", *("---:" for _ in report.scenarios)],
+    ]
+    for policy in policies:
+        results = [s.results[policy] for s in report.scenarios.values()]
+        rows.append([f"`{policy}`", *(cell(r.score) for r in results)])
+    return _markdown(rows)
+
+
+def markdown(report: Report) -> str:
+    """Overview, remarks, and one table a scenario, every figure with its interval."""
+    parts = ["## Scores", f"The {SCORE}.", overview(report)]
+    remarks = explanations(report)
+    if remarks:
+        parts += ["## Remarks", *remarks]
+    for name, scenario in report.scenarios.items():
+        parts += [f"## {name}", _conditions(scenario.config), _details(scenario)]
+    parts += ["## What the figures mean", _meanings()]
+    return "\n\n".join(parts) + "\n"
+
+
+def _conditions(config: FormationConfig) -> str:
+    number = "1 follower" if config.followers == 1 else f"{config.followers} followers"
+    return f"Action level `{config.action}`, {number}, {config.duration:g} s."
+
+
+def _details(scenario: Scenario) -> str:
+    results = scenario.results
+    rows = [["", *(f"`{p}`" for p in results)], ["---", *("---:" for _ in results)]]
+    rows.append(["score", *(scored(r.score) for r in results.values())])
+    for name, metric in EPISODE.items():
+        unit = "" if metric.unit == "1" else f", {metric.unit}"
+        cells = [interval(name, r.summary[name]) for r in results.values()]
+        rows.append([f"{name}{unit}", *cells])
+    for name in COMPARED:
+        cells = [signed(r.differences[name]) for r in results.values()]
+        rows.append([f"{name} minus expert's", *cells])
+    rows.append(["failures", *(_failures(r.failures) for r in results.values())])
+    return _markdown(rows)
+
+
+def _failures(counts: dict[str, int]) -> str:
+    return ", ".join(f"{n} {kind}" for kind, n in counts.items() if n) or "none"
+
+
+def _meanings() -> str:
+    rows = [["figure", "unit", "better", "meaning"], ["---"] * 4]
+    rows += [[f"`{name}`", m.unit, m.better, m.meaning] for name, m in EPISODE.items()]
+    lines = _markdown(rows)
+    note = (
+        "Values are means over the episodes that have one (`settling_time`: the median), in brackets the "
+        f"{100 * LEVEL:.0f} % percentile bootstrap interval ({RESAMPLES} resamples of "
+        "episodes). Differences are taken seed by seed."
+    )
+    return f"{lines}\n\n{note}"
+
+
+def _markdown(rows: list[list[str]]) -> str:
+    # A `|` would end the cell.
+    return "\n".join("| " + " | ".join(x.replace("|", "\\|") for x in row) + " |" for row in rows)

@@ -1,0 +1,76 @@
+"""Many episodes of one policy at once, each scored as it flies.
+
+World i of a rollout is `gym.make("Formation-v0", ...).reset(seed=seed + i)`: the same numbers, whatever
+the number of worlds flown together. Nothing is recorded but what the metrics need, so memory does not
+grow with the length of an episode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.metrics import add_tick, begin, episodes
+from baselines.policy import Policy
+from formation_env.simulation import Simulation, seeded_key
+
+Episodes = dict[str, NDArray[np.float64]]
+
+# Vehicles flown together: enough that Python's share is small, few enough to stay in the cache and to
+# be shared out between threads.
+_VEHICLES = 1500
+
+
+def chunks(seed: int, count: int, followers: int, vehicles: int = _VEHICLES) -> Iterator[range]:
+    """The seeds `seed` to `seed + count - 1` in groups of about equal size that are flown together."""
+    most = max(1, vehicles // (followers + 1))
+    groups = -(-count // most)
+    edges = [seed + count * i // groups for i in range(groups + 1)]
+    return (range(a, b) for a, b in pairwise(edges))
+
+
+def fly(policy: Policy, seeds: range, progress: Callable[[int], None] | None = None) -> Episodes:
+    """One episode for each of the consecutive `seeds`; the columns are `metrics.EPISODE`.
+
+    `progress` is told after every tick how many worlds' ticks have been dealt with; what it raises
+    stops the flight.
+    """
+    config, worlds = policy.config, len(seeds)
+    simulation = Simulation(config, worlds)
+    for world, seed in enumerate(seeds):
+        simulation.seed(world, seeded_key(seed))
+    policy.reset(seed=seeds.start, worlds=worlds)
+    results = simulation.reset()
+    tally = begin(config, simulation.started)
+    shape = (worlds, config.followers, config.action_size)
+    before = np.zeros(shape, dtype=np.float32)
+    offsets = np.array(config.offsets)
+    for tick in range(1, config.max_steps + 1):
+        live = ~simulation.over
+        if progress is not None:
+            progress(worlds)
+        if not live.any():
+            continue
+        actions = policy.act(results.observations)
+        # Ended worlds stand still, in whatever state they ended: what is decided there is void.
+        actions[~live] = 0.0
+        results = simulation.step(actions, mask=live)
+        add_tick(
+            tally,
+            tick,
+            config.max_steps // 2,
+            live,
+            simulation.started,
+            simulation.positions,
+            results.outputs,
+            results.rewards,
+            results.terminated,
+            actions,
+            before,
+            offsets,
+        )
+        before = actions
+    return episodes(tally, config)

@@ -1,0 +1,186 @@
+"""The evaluation itself: every policy flies the same episodes of every scenario."""
+
+from __future__ import annotations
+
+import threading
+import warnings
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from baselines.intervals import Estimate, difference, estimate, normalised, summarise
+from baselines.metrics import KINDS
+from baselines.registry import make_policy
+from baselines.rollout import Episodes, chunks, fly
+from formation_env import FeasibilityWarning, FormationConfig
+
+EPISODES = 100
+# The policies that the score is normalised with.
+ANCHORS = ("expert", "hover")
+# What is compared with the expert's seed by seed.
+COMPARED = ("return", "slot_error_rms")
+
+
+class Result(NamedTuple):
+    """One policy on one scenario."""
+
+    score: Estimate
+    summary: dict[str, Estimate]
+    differences: dict[str, Estimate]
+    failures: dict[str, int]
+
+
+class Scenario(NamedTuple):
+    """All policies on one scenario."""
+
+    config: FormationConfig
+    results: dict[str, Result]
+    span: float  # the expert's mean return minus hover's, the unit of the score
+    measuring: dict[str, Estimate] | None  # the expert's, with velocity and acceleration measured
+
+
+class Report(NamedTuple):
+    """A whole evaluation."""
+
+    seed: int
+    episodes: int
+    scenarios: dict[str, Scenario]
+
+
+def judge(columns: Episodes, hover: Episodes, expert: Episodes) -> Result:
+    """A policy's result from its episodes and those of hover and expert on the same seeds."""
+    returns = [each["return"] for each in (columns, hover, expert)]
+    kinds = np.bincount(columns["failure"].astype(np.int64), minlength=len(KINDS))
+    return Result(
+        estimate(normalised, *returns),
+        summarise(columns),
+        {name: difference(columns, expert, name) for name in COMPARED},
+        {kind: int(kinds[k]) for k, kind in enumerate(KINDS) if k > 0},
+    )
+
+
+def above_expert(results: dict[str, Result]) -> list[str]:
+    """The policies with a score above the expert's."""
+    return [p for p, r in results.items() if r.differences["return"].value > 0.0]
+
+
+def evaluate(
+    configs: dict[str, FormationConfig],
+    policies: Sequence[str],
+    episodes: int = EPISODES,
+    seed: int = 0,
+    threads: int = 1,
+    quiet: bool = True,
+) -> Report:
+    """Score `policies` on named configurations, seeds `seed` to `seed + episodes - 1` for each.
+
+    Raises `ValueError` for an unknown policy.
+    """
+    flown = list(dict.fromkeys((*policies, *ANCHORS)))
+    columns = _fly_all(configs, flown, episodes, seed, threads, quiet)
+    scenarios = {}
+    for name, config in configs.items():
+        each = columns[name]
+        results = {p: judge(each[p], each["hover"], each["expert"]) for p in policies}
+        measuring = None
+        if config.estimator == "differenced" and above_expert(results):
+            measuring = _measuring(config, episodes, seed)
+        span = float(each["expert"]["return"].mean() - each["hover"]["return"].mean())
+        scenarios[name] = Scenario(config, results, span, measuring)
+    return Report(seed, episodes, scenarios)
+
+
+def _measuring(config: FormationConfig, episodes: int, seed: int) -> dict[str, Estimate]:
+    """The expert where velocities and accelerations are measured, not differenced from positions."""
+    with warnings.catch_warnings():  # the configuration itself has warned already
+        warnings.simplefilter("ignore", FeasibilityWarning)
+        direct = replace(config, estimator="direct")
+    first = next(chunks(seed, episodes, config.followers))
+    return summarise(fly(make_policy("expert", direct), first))
+
+
+def _fly_all(
+    configs: dict[str, FormationConfig],
+    policies: Sequence[str],
+    episodes: int,
+    seed: int,
+    threads: int,
+    quiet: bool,
+) -> dict[str, dict[str, Episodes]]:
+    """The episodes of every scenario and policy, in groups of worlds shared out between threads."""
+    jobs = [
+        (name, policy, seeds)
+        for name, config in configs.items()
+        for policy in policies
+        for seeds in chunks(seed, episodes, config.followers)
+    ]
+    ticks = sum(configs[name].max_steps * len(seeds) for name, _, seeds in jobs)
+    pilots = [make_policy(policy, configs[name]) for name, policy, _ in jobs]
+    bar = _Bar(ticks, quiet)
+    with ThreadPoolExecutor(threads, thread_name_prefix="evaluate") as pool:
+        try:
+            flights = [
+                pool.submit(fly, pilot, seeds, bar.advance)
+                for pilot, (_, _, seeds) in zip(pilots, jobs, strict=True)
+            ]
+            parts = [flight.result() for flight in flights]
+        except BaseException:
+            bar.stop()
+            pool.shutdown(cancel_futures=True)
+            raise
+        finally:
+            bar.close()
+    return _collect(jobs, parts)
+
+
+def _collect(
+    jobs: list[tuple[str, str, range]], parts: Iterable[Episodes]
+) -> dict[str, dict[str, Episodes]]:
+    """The groups of one scenario and policy put together again, in the order of their seeds."""
+    grouped: dict[str, dict[str, list[Episodes]]] = {}
+    for (name, policy, _), part in zip(jobs, parts, strict=True):
+        grouped.setdefault(name, {}).setdefault(policy, []).append(part)
+    return {
+        name: {
+            policy: {k: np.concatenate([x[k] for x in group]) for k in group[0]}
+            for policy, group in policies.items()
+        }
+        for name, policies in grouped.items()
+    }
+
+
+@final
+class _Bar:
+    """A progress bar that many threads move on, and by which they are told to stop."""
+
+    def __init__(self, total: int, quiet: bool) -> None:
+        from tqdm import tqdm
+
+        self._lock = threading.Lock()
+        self._stopped = False
+        self._bar: Any = tqdm(
+            total=total,
+            disable=quiet,
+            unit=" ticks",
+            unit_scale=True,
+            desc="flying (the first run compiles first)",
+            mininterval=0.2,
+            smoothing=0.05,
+        )
+
+    def advance(self, ticks: int) -> None:
+        """Move on. Raises `RuntimeError` once stopped."""
+        if self._stopped:
+            raise RuntimeError("the evaluation was stopped")
+        with self._lock:
+            self._bar.update(ticks)
+
+    def stop(self) -> None:
+        self._stopped = True
+
+    def close(self) -> None:
+        with self._lock:
+            self._bar.close()

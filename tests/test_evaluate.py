@@ -1,0 +1,328 @@
+"""Scoring: the same numbers as `gym.make`, however the work is divided; files and errors."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from baselines import evaluate as command
+from baselines import make_policy, rollout
+from baselines.metrics import EPISODE
+from baselines.scoring import Report, evaluate
+from formation_env import SCENARIOS, configure
+
+SHORT = 4.0  # s
+
+
+@pytest.fixture(scope="module")
+def short_report() -> Report:
+    configs = {name: configure(name, duration=SHORT) for name in ("nominal", "swarm")}
+    return evaluate(configs, ["expert", "random", "pd", "hover"], episodes=5, seed=7)
+
+
+# -- the numbers ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["expert", "pd", "random"])
+@pytest.mark.parametrize("scenario", ["nominal", "agile"])
+def test_a_rollout_is_gym_make(name: str, scenario: str) -> None:
+    """World 2 of a rollout from seed 5 is the episode of `reset(seed=7)`, to the last bit.
+
+    Random flight ends in a failure, so the masked end of an episode is covered too.
+    """
+    env = gym.make("Formation-v0", scenario=scenario, duration=SHORT)
+    config = env.unwrapped.config  # type: ignore[attr-defined]
+    policy = make_policy(name, config)
+    policy.reset(seed=7)
+    observation, _ = env.reset(seed=7)
+    total, over, ticks = 0.0, False, 0
+    while not over:
+        observation, reward, terminated, truncated, _ = env.step(policy.act(observation))
+        total, over, ticks = total + float(reward), terminated or truncated, ticks + 1
+    env.close()
+    columns = rollout.fly(make_policy(name, config), range(5, 9))
+    assert columns["return"][2] == total / config.max_steps
+    assert terminated == bool(columns["failed"][2])
+    assert terminated == (name == "random"), "the random flight should have failed"
+    assert ticks == config.max_steps or terminated
+
+
+@pytest.mark.parametrize("name", ["expert", "pd", "random"])
+def test_groups_do_not_matter(name: str) -> None:
+    config = configure("paper", duration=1.0)
+    whole = rollout.fly(make_policy(name, config), range(20, 27))
+    parts = [
+        rollout.fly(make_policy(name, config), s) for s in rollout.chunks(20, 7, 2, vehicles=9)
+    ]
+    assert [len(p["return"]) for p in parts] == [2, 2, 3]
+    for key in (*EPISODE, "failure"):
+        together = np.concatenate([p[key] for p in parts])
+        assert np.array_equal(together, whole[key], equal_nan=True), key
+
+
+def test_groups_cover_every_seed_once() -> None:
+    for count in (1, 499, 500, 501, 1001):
+        groups = list(rollout.chunks(3, count, 2))
+        assert [s for group in groups for s in group] == list(range(3, 3 + count))
+        assert max(map(len, groups)) <= 500
+
+
+def test_threads_do_not_matter(monkeypatch: pytest.MonkeyPatch, short_report: Report) -> None:
+    monkeypatch.setattr(rollout.chunks, "__defaults__", (9,))
+    configs = {name: s.config for name, s in short_report.scenarios.items()}
+    other = evaluate(configs, ["expert", "random", "pd", "hover"], episodes=5, seed=7, threads=3)
+    assert command.report.to_json(other) == command.report.to_json(short_report)
+
+
+def test_every_policy_flies_the_same_worlds() -> None:
+    """Before anybody acts the worlds agree: after one tick the slots, hence the errors, differ only by
+    what one tick of action does, while another seed starts up to 0.4 m elsewhere."""
+    config = configure("nominal", duration=0.02)
+    errors = [
+        rollout.fly(make_policy(name, config), range(4))["slot_error_rms"]
+        for name in ("expert", "hover", "random")
+    ]
+    assert errors[1] == pytest.approx(errors[0], abs=0.005)
+    assert errors[2] == pytest.approx(errors[0], abs=0.005)
+    assert np.ptp(errors[0]) > 0.01
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_the_expert_beats_hover_and_random(scenario: str) -> None:
+    """On every seed, not only in the mean."""
+    config = configure(scenario)
+    expert, hover, random = (
+        rollout.fly(make_policy(name, config), range(4))["return"]
+        for name in ("expert", "hover", "random")
+    )
+    assert (expert > hover).all()
+    assert (expert > random).all()
+
+
+def test_scores_are_normalised(short_report: Report) -> None:
+    for scenario in short_report.scenarios.values():
+        results = scenario.results
+        returns = {name: r.summary["return"].value for name, r in results.items()}
+        span = returns["expert"] - returns["hover"]
+        for name, result in results.items():
+            expected = (returns[name] - returns["hover"]) / span
+            assert result.score.value == pytest.approx(expected, abs=1e-12)
+        assert results["hover"].score[:3] == (0.0, 0.0, 0.0)
+        assert results["expert"].score[:3] == (1.0, 1.0, 1.0)
+        assert results["expert"].differences["return"][:3] == (0.0, 0.0, 0.0)
+
+
+def test_anchors_fly_unasked(short_report: Report) -> None:
+    config = short_report.scenarios["nominal"].config
+    alone = evaluate({"nominal": config}, ["pd"], episodes=5, seed=7).scenarios["nominal"].results
+    assert list(alone) == ["pd"]
+    assert alone["pd"] == short_report.scenarios["nominal"].results["pd"]
+
+
+# -- what is written ------------------------------------------------------------------------------
+
+
+def test_json_keeps_its_layout(short_report: Report) -> None:
+    document = json.loads(command.report.to_json(short_report), parse_constant=pytest.fail)
+    assert document["schema"] == 1
+    assert (document["seed"], document["episodes"]) == (7, 5)
+    assert set(document["metrics"]["effort"]) == {"unit", "better", "meaning"}
+    swarm = document["scenarios"]["swarm"]
+    assert (swarm["action"], swarm["followers"], swarm["duration"]) == ("wrench", 16, SHORT)
+    random = swarm["policies"]["random"]
+    assert set(random) == {"score", "metrics", "difference_to_expert", "failures"}
+    assert list(random["metrics"]) == list(EPISODE)
+    assert set(random["metrics"]["effort"]) == {"value", "low", "high", "episodes"}
+    assert random["metrics"]["settling_time"]["value"] is None
+    failed = round(5 * random["metrics"]["failed"]["value"])
+    assert sum(random["failures"].values()) == failed
+
+
+def test_table_has_a_line_for_each_result(short_report: Report) -> None:
+    lines = command.report.table(short_report).splitlines()
+    assert len(lines) == 1 + 2 * 4
+    assert len({len(line) for line in lines}) == 1
+    assert lines[1].split()[:3] == ["nominal", "expert", "1.000"]
+
+
+def test_markdown_tables_are_whole(short_report: Report) -> None:
+    """Every row of a table has as many cells as its head: a `|` in a text would break that."""
+    text = command.report.markdown(short_report).replace("\\|", "")
+    tables = [block.splitlines() for block in text.split("\n\n") if block.startswith("|")]
+    assert len(tables) == 4
+    for rows in tables:
+        assert len({row.count("|") for row in rows}) == 1
+
+
+def test_a_policy_above_the_expert_is_explained(short_report: Report) -> None:
+    nominal = short_report.scenarios["nominal"]
+    assert command.explanations(Report(7, 5, {"nominal": nominal})) == []
+    pd = nominal.results["pd"]
+    ahead = {name: e._replace(value=0.1) for name, e in pd.differences.items()}
+    better = pd._replace(score=pd.score._replace(value=1.25), differences=ahead)
+    scenario = nominal._replace(results={**nominal.results, "pd": better})
+    (remark,) = command.explanations(Report(7, 5, {"nominal": scenario}))
+    assert "`pd` scores 1.250" in remark
+    # k1 = 0.2 in the plane; s^2 + 2 s + 0.2 in height; s^2 + s' (1.5 s + 0.5), s' = 5 / sqrt(50).
+    assert "-0.20 1/s (planner, plane), -0.11 1/s (planner, height)" in remark
+    assert "-0.53 1/s (tracker" in remark
+
+
+def test_scores_without_a_scale_are_called_meaningless() -> None:
+    """In the first tick nobody can be better than hover."""
+    config = configure("nominal", duration=0.02)
+    remarks = command.explanations(evaluate({"nominal": config}, ["hover"], episodes=3))
+    assert remarks == [
+        "On `nominal` the expert is no better than hover, so the scores there mean nothing."
+    ]
+
+
+# -- the command ----------------------------------------------------------------------------------
+
+QUICK = ["--scenarios", "nominal", "--policies", "hover", "--episodes", "2", "--duration", "0.1"]
+
+
+def test_command_writes_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "new" / "results"
+    assert command.main([*QUICK, "--output", str(out), "--action", "rates"]) == 0
+    assert sorted(p.name for p in out.iterdir()) == ["results.json", "results.md"]
+    document = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    assert document["scenarios"]["nominal"]["action"] == "rates"
+    assert "nominal" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--policies", "expert,ppo"], "'ppo': expected some of expert, pd, hover, random"),
+        (["--policies", ""], "'': expected some of"),
+        (["--scenarios", "windy"], "'windy': expected some of nominal, paper"),
+        (["--episodes", "0"], "'0': expected a whole number from 1 to"),
+        (["--episodes", "1.5"], "'1.5': expected a whole number from 1 to"),
+        (["--seed", "-1"], "'-1': expected a whole number from 0 to"),
+        (["--threads", "0"], "'0': expected a whole number from 1 to"),
+        (["--action", "speed"], "argument --action: invalid choice: 'speed'"),
+        (["--duration", "nan"], "'nan': expected a time in seconds above 0"),
+        (["--duration", "0.001"], "scenario nominal: duration = 0.001: expected"),
+        (["--polices", "expert"], "unrecognized arguments: --polices expert"),
+        (["--leaderboard", "nowhere"], "argument --leaderboard: nowhere"),
+    ],
+)
+def test_wrong_option(
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """One line that names the offender, status 2, and nothing written."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        command.main(arguments)
+    assert stop.value.code == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_output_that_cannot_be_written_is_noticed_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("mine", encoding="utf-8")
+    (tmp_path / "busy" / "results.json").mkdir(parents=True)
+    monkeypatch.setattr(command, "evaluate", pytest.fail)
+    for folder, problem in (("file", "cannot write into"), ("busy", "is a folder")):
+        with pytest.raises(SystemExit) as stop:
+            command.main([*QUICK, "--output", str(tmp_path / folder)])
+        assert stop.value.code == 2
+        error = capsys.readouterr().err
+        assert problem in error and folder in error
+    assert (tmp_path / "file").read_text(encoding="utf-8") == "mine"
+
+
+@pytest.mark.skipif(
+    sys.platform == "win32" or not hasattr(os, "geteuid") or os.geteuid() == 0,
+    reason="folders cannot be made read-only for this user",
+)
+def test_read_only_output(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(SystemExit):
+        command.main([*QUICK, "--output", str(tmp_path)])
+    assert "cannot write into" in capsys.readouterr().err
+
+
+def test_interrupted_writing_leaves_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "results.json"
+    command.write_text(path, "old")
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(command.os, "replace", full)
+    with pytest.raises(OSError, match="No space"):
+        command.write_text(path, "new")
+    assert path.read_text(encoding="utf-8") == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_full_disk_is_an_error_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(command.os, "replace", full)
+    assert command.main([*QUICK, "--output", str(tmp_path)]) == 1
+    assert "No space left on device" in capsys.readouterr().err
+
+
+def test_interruption_stops_the_flight(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whatever stops one worker stops all of them, and no results appear."""
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("baselines.scoring.fly", interrupted)
+    assert command.main([*QUICK, "--output", str(tmp_path)]) == 130
+    assert "nothing was written" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_leaderboard_and_extract(tmp_path: Path) -> None:
+    readme = tmp_path / "README.md"
+    frame = f"# Title\n\n{command.BEGIN}\n{{}}\n{command.END}\n\nRest\n"
+    readme.write_text(frame.format("old"), encoding="utf-8")
+    arguments = [*QUICK, "--output", str(tmp_path / "out"), "--leaderboard", str(tmp_path)]
+    assert command.main(arguments) == 0
+    board = (tmp_path / "LEADERBOARD.md").read_text(encoding="utf-8")
+    repeat = "--policies hover --scenarios nominal --episodes 2 --duration 0.1 --leaderboard"
+    assert f"python -m baselines.evaluate {repeat}\n" in board
+    text = readme.read_text(encoding="utf-8")
+    assert "| `hover` | 0.000 |" in board
+    assert "| `hover` | 0.00 |" in text
+    assert text.startswith("# Title") and text.endswith("Rest\n") and "old" not in text
+    # Again: the same files to the letter.
+    assert command.main(arguments) == 0
+    assert (tmp_path / "LEADERBOARD.md").read_text(encoding="utf-8") == board
+    assert readme.read_text(encoding="utf-8") == text
+
+
+def test_readme_without_markers_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "README.md").write_text("no place", encoding="utf-8")
+    with pytest.raises(SystemExit):
+        command.main([*QUICK, "--output", str(tmp_path / "out"), "--leaderboard", str(tmp_path)])
+    assert command.BEGIN in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
