@@ -19,7 +19,7 @@ from baselines.policy import Policy, Rows
 from formation_env import FormationConfig
 from formation_env._jit import device, kernel
 from formation_env.feedforward import full_reference
-from formation_env.kernels import Settings, flatten, unpack
+from formation_env.memory import Settings, flatten, unpack
 from formation_env.planner import (
     Leader,
     PlannerLaw,

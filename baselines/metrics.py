@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from formation_env import FormationConfig
 from formation_env._jit import device, kernel
-from formation_env.kernels import ERROR, FAILED, SEPARATION, SLOT
+from formation_env.memory import ERROR, FAILED, SEPARATION, SLOT
 from formation_env.so3 import Vector, dot
 from formation_env.task import FAILURES, distance
 

@@ -15,15 +15,16 @@ from typing import Any, final
 import numpy as np
 
 from formation_env import formations
-from formation_env.checks import integer, number, require, vector
+from formation_env.checks import integer, number, require
 from formation_env.feasibility import Feasibility, check, require_feasible
 from formation_env.gains import RATES_GAINS, PlannerGains, TrackerGains
-from formation_env.quadrotor import GRAVITY, MOMENT, RATES, Airframe
+from formation_env.quadrotor import GRAVITY, MOMENT, RATES
 from formation_env.sensors import Noise
 from formation_env.slots import out_of_frame
 from formation_env.so3 import Vector
 from formation_env.task import Layout, Limits, Rewards
 from formation_env.trajectories import Trajectory, evaluate, figure_eight, start_direction
+from formation_env.vehicle import Vehicle, vector3
 from formation_env.world import RATE, REFERENCE, WRENCH, Clock, Gusts, Reach, World
 
 LEVELS = {"wrench": WRENCH, "rates": RATE, "reference": REFERENCE}
@@ -32,57 +33,6 @@ STARTS = ("formation", "ground")
 MAX_FOLLOWERS = 4096
 
 NO_NOISE = Noise(0.0, 0.0, 0.0, 0.0, 0.0)
-
-
-@final
-@dataclass(frozen=True)
-class Vehicle:
-    """A quadrotor; the defaults are section III-C's, with limits of a vehicle of that size.
-
-    `thrust_max` defaults to twice the weight, so that action 0 hovers. `limited=False` lets the
-    actuators give anything, negative thrust included, as the paper's own simulations do.
-    """
-
-    mass: float = 0.1  # kg
-    inertia: Vector = (1e-3, 1e-3, 2e-3)  # kg m^2, diagonal of J
-    thrust_max: float | None = None  # N
-    moment_max: Vector = (0.05, 0.05, 0.02)  # N m, per body axis
-    rate_max: Vector = (10.0, 10.0, 5.0)  # rad/s, per body axis
-    rate_lag: float = 0.05  # s, time constant of the onboard rate loop
-    limited: bool = True
-
-    def __post_init__(self) -> None:
-        number("vehicle.mass", self.mass, 0.0)
-        number("vehicle.rate_lag", self.rate_lag, 0.0)
-        for name in ("inertia", "moment_max", "rate_max"):
-            object.__setattr__(self, name, _vector(f"vehicle.{name}", getattr(self, name), 0.0))
-        a, b, c = sorted(self.inertia)
-        require(
-            c <= (a + b) * (1.0 + 1e-9),
-            "vehicle.inertia",
-            self.inertia,
-            "moments of inertia of a rigid body: none above the sum of the other two",
-        )
-        weight = self.mass * GRAVITY
-        if self.thrust_max is None:
-            object.__setattr__(self, "thrust_max", 2.0 * weight)
-        number("vehicle.thrust_max", self.thrust_max, weight)
-        require(isinstance(self.limited, bool), "vehicle.limited", self.limited, "True or False")
-
-    def airframe(self) -> Airframe:
-        """The vehicle as the kernels take it."""
-        assert self.thrust_max is not None
-        if self.limited:
-            limits = (0.0, float(self.thrust_max), self.moment_max, self.rate_max)
-        else:
-            limits = (-inf, inf, (inf, inf, inf), (inf, inf, inf))
-        return Airframe(float(self.mass), self.inertia, *limits, float(self.rate_lag))
-
-
-def _vector(name: str, value: Any, low: float = -inf) -> Vector:
-    """Three finite numbers above `low`."""
-    x, y, z = (number(name, v, low) for v in vector(name, value, 3))
-    return (x, y, z)
 
 
 def rows(name: str, value: Any) -> tuple[Vector, ...]:
@@ -139,7 +89,7 @@ class FormationConfig:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "offsets", rows("offsets", self.offsets))
-        object.__setattr__(self, "reference_max", _vector("reference_max", self.reference_max, 0.0))
+        object.__setattr__(self, "reference_max", vector3("reference_max", self.reference_max, 0.0))
         self._check_choices()
         self._check_numbers()
         self._check_clock()
@@ -262,7 +212,7 @@ class FormationConfig:
 
     def _check_starts(self) -> None:
         if self.leader_start is not None:
-            object.__setattr__(self, "leader_start", _vector("leader_start", self.leader_start))
+            object.__setattr__(self, "leader_start", vector3("leader_start", self.leader_start))
         if self.follower_starts is not None:
             starts = rows("follower_starts", self.follower_starts)
             object.__setattr__(self, "follower_starts", starts)
@@ -343,7 +293,6 @@ class FormationConfig:
     def world(self) -> World:
         """The constants of an episode as the kernels take them."""
         vehicle = self.vehicle
-        assert vehicle.thrust_max is not None
         rates = self.follower_actuation == RATES
         return World(
             vehicle.airframe(),
@@ -352,7 +301,7 @@ class FormationConfig:
             Noise(*map(float, self.noise)),
             self._clock(),
             Reach(
-                float(vehicle.thrust_max),
+                vehicle.full_thrust,
                 vehicle.rate_max if rates else vehicle.moment_max,
                 self.reference_max,
             ),

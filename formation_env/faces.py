@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from formation_env.kernels import ERROR, FAILED, SEPARATION, SLOT, TERMS
+from formation_env.memory import ERROR, FAILED, SEPARATION, SLOT, TERMS
 from formation_env.task import Terms
 
 if TYPE_CHECKING:
@@ -79,14 +79,14 @@ def draw(
     """One frame of a world, None in a window; `slots` as in its last `info`."""
     from formation_env.rendering import Scene
 
-    clock = float(simulation.clock[world])
-    times = np.arange(clock - 8.0, clock + 8.0, 0.1)
+    # The same path in every frame of an episode: its dashes are counted from its first point.
+    times = np.arange(0.0, simulation.config.duration, 0.1)
     scene = Scene(
         float(simulation.time[world]),
         bool(simulation.started[world]),
         simulation.positions[world],
         simulation.attitudes[world],
         np.asarray(slots),
-        simulation.reference(times[times >= 0.0], world),
+        simulation.reference(times, world),
     )
     return renderer.draw(scene)

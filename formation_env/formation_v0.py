@@ -57,7 +57,9 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
             faces.observation_space(self.config, 1),
             faces.action_space(self.config, 1),
         )
-        self.observation_spaces: dict[str, spaces.Box] = dict.fromkeys(self.possible_agents, observation)
+        self.observation_spaces: dict[str, spaces.Box] = dict.fromkeys(
+            self.possible_agents, observation
+        )
         self.action_spaces: dict[str, spaces.Box] = dict.fromkeys(self.possible_agents, action)
         self.state_space = _state_space(n)
         self._simulation = Simulation(self.config)

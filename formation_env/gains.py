@@ -66,16 +66,13 @@ class TrackerGains:
     sigma_max: float = 5.0  # m/s^2
     c: float = 50.0
     p11: float = 1.0
-    p12: float | None = None
-    p22: float | None = None
+    p12: float | None = None  # None: p11 k1 / k2
+    p22: float | None = None  # None: k1
 
     def __post_init__(self) -> None:
         for name in ("k1", "k2", "k3", "k4", "kz", "sigma_max", "c", "p11"):
             number(f"tracker.{name}", getattr(self, name), 0.0)
-        p12 = self.p11 * self.k1 / self.k2 if self.p12 is None else self.p12
-        p22 = self.k1 if self.p22 is None else self.p22
-        object.__setattr__(self, "p12", p12)
-        object.__setattr__(self, "p22", p22)
+        p12, p22 = self.weights
         number("tracker.p12", p12, 0.0)
         number("tracker.p22", p22, 0.0)
         require(
@@ -85,6 +82,12 @@ class TrackerGains:
             f"p12^2 < p11 p22 = {self.p11 * p22:g}, so that P (56) is positive definite",
         )
         self._check_q(p12, p22)
+
+    @property
+    def weights(self) -> tuple[float, float]:
+        """`(p12, p22)` of (56), as given or as they follow from the other gains."""
+        p12 = self.p11 * self.k1 / self.k2 if self.p12 is None else self.p12
+        return p12, self.k1 if self.p22 is None else self.p22
 
     def _check_q(self, p12: float, p22: float) -> None:
         """`Q` of (57)-(59) positive definite for every slope of the saturation."""
@@ -108,7 +111,8 @@ class TrackerGains:
 
     def law(self) -> TrackerLaw:
         """The gains as the kernels take them."""
-        return TrackerLaw(*(float(getattr(self, f.name)) for f in fields(self)))
+        given = [float(getattr(self, f.name)) for f in fields(self)[:-2]]
+        return TrackerLaw(*given, *map(float, self.weights))
 
 
 # For vehicles driven by rates. The paper's experiment used another tracker ([9]), whose gains it does

@@ -175,22 +175,23 @@ def fly(
 
 
 @device
-def touch_floor(body: Body) -> tuple[Body, Contact]:
+def touch_floor(body: Body, before: Body) -> tuple[Body, Contact]:
     """Keep the vehicle above the floor: an inelastic contact with feet that do not slide.
 
-    A vehicle found below `p_z = 0` is put back on it, at rest and level, keeping its yaw. A resting
-    vehicle is one that this happens to after every substep, with a touch-down speed of at most
-    `g h`; it takes off as soon as its thrust exceeds its weight. Whether a touch-down was a crash
-    is for the task to say, from the speed and uprightness reported.
+    A vehicle found below `p_z = 0` is put on it, at rest and level, where and with the yaw that it
+    had a substep `before`: then neither a moment nor a gust can make it creep. A resting vehicle is
+    one that this happens to after every substep, with a touch-down speed of at most `g h`; it takes
+    off as soon as its thrust exceeds its weight. Whether a touch-down was a crash is for the task to
+    say, from the speed and uprightness reported.
     """
     r3z = 1.0 - 2.0 * (body.q[1] * body.q[1] + body.q[2] * body.q[2])
     below = body.p[2] > 0.0 or (body.p[2] == 0.0 and body.v[2] >= 0.0)
     if not below:
         return body, Contact(False, 0.0, r3z)
     rest = Body(
-        (body.p[0], body.p[1], 0.0),
+        (before.p[0], before.p[1], 0.0),
         (0.0, 0.0, 0.0),
-        level(body.q),
+        level(before.q),
         (0.0, 0.0, 0.0),
     )
     return rest, Contact(True, max(body.v[2], 0.0), r3z)

@@ -21,11 +21,12 @@ import numpy as np
 
 from formation_env import formations
 from formation_env.checks import integer, require
-from formation_env.config import MAX_FOLLOWERS, FormationConfig, Vehicle, rows
+from formation_env.config import MAX_FOLLOWERS, FormationConfig, rows
 from formation_env.feasibility import FeasibilityWarning, require_feasible
 from formation_env.gains import PlannerGains
 from formation_env.sensors import Noise
 from formation_env.trajectories import figure_eight, lemniscate, random_smooth
+from formation_env.vehicle import Vehicle
 
 # III-C's levels. The sampling time of the white noise is not stated; at 50 Hz, the rate of the
 # paper's motion capture, its steady-state claims hold.

@@ -1,6 +1,6 @@
 """Many worlds: arrays, the loop over them, reset and seeding. The only module that knows the layout.
 
-Every face steps worlds through the one compiled kernel `_advance`, and threads call that same
+Every face steps worlds through the one compiled kernel `advance`, and threads call that same
 machine code on disjoint ranges of worlds. A world's numbers depend on its key, its actions and
 nothing else, so they are bit for bit those of any other number of worlds or threads.
 """
@@ -16,22 +16,10 @@ import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from formation_env import kernels
+from formation_env import kernels, memory
 from formation_env.config import FormationConfig
-from formation_env.kernels import (
-    CLOCK,
-    EPISODE,
-    OUTPUTS,
-    OVER,
-    STARTED,
-    TICK,
-    Constants,
-    Results,
-    State,
-)
+from formation_env.memory import CLOCK, EPISODE, OVER, STARTED, TICK, Floats, Results
 from formation_env.task import Layout
-
-Floats = NDArray[np.float64]
 
 # Below this many vehicles in a call a second thread costs more than it saves.
 _VEHICLES_PER_THREAD = 4096
@@ -64,8 +52,8 @@ class Simulation:
         self.num_worlds = num_worlds
         self.threads = max(1, min(threads, num_worlds))
         self.layout: Layout = config.layout
-        self._constants = kernels.constants(config, self.max_steps)
-        self._state = kernels.allocate(config, num_worlds)
+        self._constants = memory.constants(config, self.max_steps)
+        self._state = memory.allocate(config, num_worlds)
         self._everyone = np.ones(num_worlds, dtype=np.bool_)
         self._pool: ThreadPoolExecutor | None = None
         self._pool_owner = 0
@@ -105,7 +93,7 @@ class Simulation:
 
     def _run(self, mode: int, actions: NDArray[np.float32], mask: Any) -> Results:
         mask = self._everyone if mask is None else mask
-        results = kernels.results(self.config, self.num_worlds, mode)
+        results = memory.results(self.config, self.num_worlds, mode == kernels.STEP_AND_RESET)
         arguments = (mode, actions, mask, self._state, self._constants, results)
         vehicles = self.num_worlds * (self.config.followers + 1)
         threads = min(self.threads, 1 + vehicles // _VEHICLES_PER_THREAD)
@@ -234,6 +222,3 @@ def stream_key(generator: np.random.Generator) -> int:
 def seeded_key(seed: int | None) -> int:
     """The key that `reset(seed=seed)` gives a single environment."""
     return stream_key(seeding.np_random(seed)[0])
-
-
-__all__ = ["OUTPUTS", "Constants", "Results", "Simulation", "Snapshot", "State"]

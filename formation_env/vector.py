@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from formation_env import faces
 from formation_env.config import FormationConfig
-from formation_env.kernels import STEP, STEP_AND_RESET, STEP_OR_RESET, Results
+from formation_env.kernels import STEP, STEP_AND_RESET, STEP_OR_RESET
+from formation_env.memory import Results
 from formation_env.scenarios import configure
 from formation_env.simulation import Simulation, Snapshot, seeded_key
 

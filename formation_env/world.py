@@ -174,7 +174,7 @@ def substep(
     body: Body, applied: Wrench, push: Vector, h: float, actuation: int, airframe: Airframe
 ) -> tuple[Body, Contact]:
     """Fly for `h` seconds, then keep the vehicle above the floor."""
-    return touch_floor(fly(body, applied, push, h, actuation, airframe))
+    return touch_floor(fly(body, applied, push, h, actuation, airframe), body)
 
 
 @device

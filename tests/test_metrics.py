@@ -11,7 +11,7 @@ import pytest
 from baselines.intervals import Estimate, estimate, mean, normalised, summarise
 from baselines.metrics import EPISODE, KINDS, SETTLED, add_tick, begin, episodes
 from formation_env import FormationConfig, configure
-from formation_env.kernels import ERROR, FAILED, OUTPUTS, SEPARATION, SLOT
+from formation_env.memory import ERROR, FAILED, OUTPUTS, SEPARATION, SLOT
 from formation_env.task import COLLISION
 
 TICKS = 200  # of 0.02 s

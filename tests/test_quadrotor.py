@@ -175,7 +175,8 @@ def ground(
     """Flight with the floor below: `(body, contact)` after each substep."""
     history = []
     for _ in range(round(end / h)):
-        body, contact = quad.touch_floor(quad.fly(body, wrench, ZERO, h, MOMENT, AIRFRAME))
+        after = quad.fly(body, wrench, ZERO, h, MOMENT, AIRFRAME)
+        body, contact = quad.touch_floor(after, body)
         history.append((body, contact))
     return history
 
@@ -190,6 +191,15 @@ def test_rests_on_the_floor_below_its_weight(part: float) -> None:
         agree(body.q, start.q, 1e-14)
         assert contact.touching
         assert 0.0 <= contact.speed <= GRAVITY * 1e-3
+
+
+def test_nothing_makes_a_standing_vehicle_creep() -> None:
+    """A moment below what lifts it, about any axis, leaves it where it stands."""
+    start = Body((1.0, -2.0, 0.0), ZERO, so3.exponential((0.0, 0.0, 0.8)), ZERO)
+    pushed = Wrench(0.9 * AIRFRAME.mass * GRAVITY, (0.01, -0.02, 0.02))
+    body = ground(start, pushed, 0.5)[-1][0]
+    assert body.p == start.p
+    agree(body.q, start.q, 1e-14)
 
 
 def test_takes_off_above_its_weight() -> None:
@@ -213,7 +223,8 @@ def test_impact_speed_is_that_of_the_fall(height: float) -> None:
 @given(quaternions(), vectors(3.0), vectors(3.0))
 def test_touch_down_stops_and_levels(q: Quaternion, v: Vector, w: Vector) -> None:
     """On the floor at rest; the tilt before it is reported; position in the plane is kept."""
-    body, contact = quad.touch_floor(Body((1.5, -0.5, 0.01), v, q, w))
+    below = Body((1.5, -0.5, 0.01), v, q, w)
+    body, contact = quad.touch_floor(below, below)
     assert body.p == (1.5, -0.5, 0.0)
     assert body.v == ZERO and body.w == ZERO
     agree(so3.rotation(body.q)[2], (0.0, 0.0, 1.0), 1e-14)
@@ -226,7 +237,8 @@ def test_touch_down_stops_and_levels(q: Quaternion, v: Vector, w: Vector) -> Non
 def test_touch_down_keeps_the_yaw(yaw: float, tilt: Vector) -> None:
     turn = so3.exponential((0.0, 0.0, yaw))
     q = so3.multiply(turn, so3.exponential((tilt[0], tilt[1], 0.0)))
-    body, _ = quad.touch_floor(Body((0.0, 0.0, 0.01), ZERO, q, ZERO))
+    below = Body((0.0, 0.0, 0.01), ZERO, q, ZERO)
+    body, _ = quad.touch_floor(below, below)
     agree(matrix(body.q), matrix(turn), 1e-12)
 
 
@@ -234,7 +246,7 @@ def test_touch_down_keeps_the_yaw(yaw: float, tilt: Vector) -> None:
 @given(quaternions(), vectors(3.0), vectors(3.0))
 def test_in_the_air_the_floor_does_nothing(q: Quaternion, v: Vector, w: Vector) -> None:
     body = Body((1.5, -0.5, -1e-9), v, q, w)
-    after, contact = quad.touch_floor(body)
+    after, contact = quad.touch_floor(body, body)
     assert after == body
     assert not contact.touching
     assert contact.speed == 0.0
@@ -244,5 +256,6 @@ def test_in_the_air_the_floor_does_nothing(q: Quaternion, v: Vector, w: Vector) 
 def test_leaving_the_floor_is_not_touching_it() -> None:
     """At height zero with an upward speed the vehicle is in the air; without one it stands."""
     rising = Body(ZERO, (0.0, 0.0, -0.1), IDENTITY, ZERO)
-    assert not quad.touch_floor(rising)[1].touching
-    assert quad.touch_floor(rising._replace(v=ZERO))[1].touching
+    assert not quad.touch_floor(rising, rising)[1].touching
+    still = rising._replace(v=ZERO)
+    assert quad.touch_floor(still, still)[1].touching

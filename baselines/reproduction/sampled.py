@@ -1,0 +1,160 @@
+"""Figures 6 to 9 and 11 to 14: the environment's own sampled loop, flown by the expert.
+
+One run is several worlds of one configuration that differ in their seeds only: the first is the one
+that is drawn, all of them are what the claims are measured on.
+
+Lengths in metres, times in seconds, angles in radians; inertial frame north-east-down.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.expert import Expert
+from formation_env import FormationConfig
+from formation_env._jit import kernel
+from formation_env.planner import PlannerLaw, Virtual
+from formation_env.planner import errors as planner_errors
+from formation_env.references import Floats
+from formation_env.scenarios import configure
+from formation_env.simulation import Simulation, seeded_key
+
+AFTER_TRIGGER = 80.0  # s, what the figures show once the trigger (40) has fired
+TRANSIENT = 15.0  # s after the trigger, not part of the steady state
+PATIENCE = 120.0  # s, for the trigger
+
+
+class Run(NamedTuple):
+    """T instants just before a decision, W worlds, n followers."""
+
+    config: FormationConfig
+    seed: int  # of world 0; world w has `seed + w`
+    t: Floats  # (T,) s since the reset
+    clock: Floats  # (T, W) s since the trigger; 0 before it
+    reference: Floats  # (T, 3) m, of the leader in world 0
+    p: Floats  # (T, W, n+1, 3) m, true, leader first
+    v: Floats  # (T, W, n+1, 3) m/s
+    estimate: Floats  # (T, W, 3) leader's acceleration as follower 1 knows it, m/s^2
+    virtual_p: Floats  # (T, W, n, 3) m
+    virtual_v: Floats  # (T, W, n, 3) m/s
+    planner: Floats  # (T, W, n, 5): e1 (2), e2 (2), e_z as the planner measures them, m
+    planner_true: Floats  # (T, W, n, 4): e1 (2), e2 (2) with the leader's true motion, m
+    tracker: Floats  # (T, W, n, 12): e1 to e4 as the tracker measures them
+
+    @property
+    def tracking(self) -> Floats:
+        """True `p - p_d` of every follower, `(T, W, n, 3)`, m."""
+        return self.p[:, :, 1:] - self.virtual_p
+
+    @property
+    def distances(self) -> Floats:
+        """Leader to follower 1, leader to follower 2, follower 1 to follower 2, `(T, W, 3)`, m."""
+        a, b, c = (self.p[:, :, i] for i in range(3))
+        return np.stack([np.linalg.norm(x - y, axis=-1) for x, y in ((a, b), (a, c), (b, c))], -1)
+
+    def window(self, world: int, begin: float, end: float = AFTER_TRIGGER) -> NDArray[np.bool_]:
+        """Which instants lie from `begin` to `end` seconds after that world's trigger."""
+        clock = self.clock[:, world]
+        return (clock > 0.0) & (clock >= begin) & (clock <= end)
+
+    def steady(self, world: int) -> NDArray[np.bool_]:
+        """Which instants belong to the steady state."""
+        return self.window(world, TRANSIENT)
+
+    def trigger(self, world: int) -> float:
+        """When the trigger (40) fired, s since the reset."""
+        return float(self.t[np.argmax(self.clock[:, world] > 0.0)] - self.config.control_period)
+
+
+def fly(
+    scenario: str,
+    seed: int = 0,
+    worlds: int = 1,
+    after: float = AFTER_TRIGGER,
+    feedforward: str = "zero",
+    **overrides: Any,
+) -> Run:
+    """Fly a scenario with the expert until `after` seconds past every world's trigger.
+
+    The leader and followers 1 and 2 as in the paper. Raises `RuntimeError` if the trigger of some
+    world has not fired after two minutes.
+    """
+    config = configure(scenario, duration=after + PATIENCE, **overrides)
+    simulation = Simulation(config, worlds)
+    for world in range(worlds):
+        simulation.seed(world, seeded_key(seed + world))
+    expert = Expert(config, feedforward, keep_record=True)
+    expert.reset(seed, worlds)
+    seen = simulation.reset().observations
+    rows: list[dict[str, Floats]] = []
+    while float(simulation.clock.min()) <= after:
+        if float(simulation.time[0]) > PATIENCE and not bool(simulation.started.all()):
+            late = int(np.argmin(simulation.started))
+            raise RuntimeError(f"seed {seed + late}: no trigger (40) within {PATIENCE:g} s")
+        row = _truth(simulation, seen)
+        actions = expert.act(seen)
+        rows.append({**row, **expert.record})
+        # A step goes on after a failure: the figures show what the laws do, not what the task judges.
+        seen = simulation.step(actions).observations
+    return _collect(config, simulation, seed, rows)
+
+
+def _truth(simulation: Simulation, seen: NDArray[np.float32]) -> dict[str, Floats]:
+    """What is true now, and the leader's acceleration as the first follower's row has it."""
+    parts = simulation.layout.unpack(seen[:, 0].astype(np.float64))
+    a, R = parts["leader_acceleration"], parts["heading"]
+    plane = (a[:, 0] + 1j * a[:, 1]) * (R[:, 0] + 1j * R[:, 1])
+    return {
+        "t": simulation.time[:1],
+        "clock": simulation.clock,
+        "p": simulation.positions,
+        "v": simulation.velocities,
+        "estimate": np.stack([plane.real, plane.imag, a[:, 2]], -1),
+    }
+
+
+def _collect(
+    config: FormationConfig, simulation: Simulation, seed: int, rows: list[dict[str, Floats]]
+) -> Run:
+    x = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    measured = np.concatenate([x["planner_e1"], x["planner_e2"], x["planner_ez"]], -1)
+    state = np.concatenate([x["virtual_p"][..., :2], x["heading"], x["speed"], x["turn_rate"]], -1)
+    true = _planner_errors(x["p"], x["v"], state, np.array(config.offsets), config.planner.law())
+    tracker = np.concatenate([x[f"tracker_e{k}"] for k in (1, 2, 3, 4)], -1)
+    return Run(
+        config,
+        seed,
+        x["t"][:, 0],
+        x["clock"],
+        simulation.reference(x["clock"][:, 0]),
+        x["p"],
+        x["v"],
+        x["estimate"],
+        x["virtual_p"],
+        x["virtual_v"],
+        measured,
+        true,
+        tracker,
+    )
+
+
+@kernel
+def _planner_errors(
+    p: Floats, v: Floats, state: Floats, offsets: Floats, law: PlannerLaw
+) -> Floats:
+    """`e1` (7) and `e2` (11) of virtual followers `p_x, p_y, theta, u, omega` behind the true leader."""
+    out = np.empty((*state.shape[:3], 4))
+    for k in range(state.shape[0]):
+        for w in range(state.shape[1]):
+            p_L = complex(p[k, w, 0, 0], p[k, w, 0, 1])
+            v_L = complex(v[k, w, 0, 0], v[k, w, 0, 1])
+            for i in range(state.shape[2]):
+                x = state[k, w, i]
+                f = Virtual(complex(x[0], x[1]), x[2], x[3], x[4], 0j, 0.0, 0.0)
+                e = planner_errors(f, p_L, v_L, complex(offsets[i, 0], offsets[i, 1]), law)
+                out[k, w, i, 0], out[k, w, i, 1] = e.e1.real, e.e1.imag
+                out[k, w, i, 2], out[k, w, i, 3] = e.e2.real, e.e2.imag
+    return out

@@ -1,0 +1,169 @@
+"""The PettingZoo face: the whole conformance suite, and what that suite does not look at."""
+
+from __future__ import annotations
+
+import importlib.util
+from typing import Any
+
+import numpy as np
+import pettingzoo
+import pytest
+from episodes import SCENARIOS, arrays, same, wild
+from pettingzoo.test import (
+    api_test,
+    max_cycles_test,
+    parallel_api_test,
+    parallel_seed_test,
+    render_test,
+    seed_test,
+    state_test,
+)
+
+from formation_env import formation_v0, trajectories
+from formation_env.formation_v0 import FormationParallelEnv
+
+needs_pygame = pytest.mark.skipif(
+    importlib.util.find_spec("pygame") is None, reason="drawing needs pygame"
+)
+
+
+def acts(env: FormationParallelEnv, row: Any) -> dict[str, Any]:
+    """An action row `(followers, k)` by agent."""
+    return dict(zip(env.possible_agents, row, strict=True))
+
+
+def shape(env: FormationParallelEnv) -> tuple[int, int]:
+    return env.config.followers, env.config.action_size
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_parallel_api(scenario: str) -> None:
+    parallel_api_test(formation_v0.parallel_env(scenario=scenario), num_cycles=300)
+
+
+@pytest.mark.parametrize("maker", [formation_v0.env, formation_v0.raw_env])
+@pytest.mark.parametrize("action", ["wrench", "reference"])
+def test_api(maker: Any, action: str) -> None:
+    api_test(maker(action=action, max_cycles=40), num_cycles=300)
+
+
+def test_seeds() -> None:
+    parallel_seed_test(formation_v0.parallel_env, num_cycles=50)
+    seed_test(formation_v0.env, num_cycles=50)
+
+
+def test_max_cycles() -> None:
+    max_cycles_test(formation_v0)
+
+
+def test_state() -> None:
+    state_test(formation_v0.env(), formation_v0.parallel_env())
+
+
+@needs_pygame
+def test_render() -> None:
+    render_test(lambda **options: formation_v0.env(max_cycles=5, **options))
+
+
+@pytest.mark.skipif(not hasattr(pettingzoo, "make"), reason="PettingZoo 1.27 has a registry")
+def test_it_is_in_the_registry() -> None:
+    env = pettingzoo.make("parallel", "formation/formation_v0", followers=3)
+    assert env.unwrapped.possible_agents == ["follower_0", "follower_1", "follower_2"]
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_a_seed_repeats_whole_episodes(scenario: str) -> None:
+    """PettingZoo's own test compares a single step (1.27)."""
+    one, two = (
+        formation_v0.parallel_env(scenario=scenario),
+        formation_v0.parallel_env(scenario=scenario),
+    )
+    two.reset(seed=99)
+    assert same(one.reset(seed=4), two.reset(seed=4))
+    ends = 0
+    for row in wild(250, *shape(one)):
+        assert same(one.step(acts(one, row)), two.step(acts(two, row)))
+        assert same(one.state(), two.state())
+        if not one.agents:
+            ends += 1
+            assert same(one.reset(), two.reset())
+    assert ends > 1
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_state_is_the_truth(scenario: str) -> None:
+    env = formation_v0.parallel_env(scenario=scenario)
+    _, infos = env.reset(seed=0)
+    n = env.config.followers
+    for row in wild(15, *shape(env)):
+        state, world = env.state(), env.simulation
+        assert state in env.state_space
+        vehicles = state[: 13 * (n + 1)].reshape(n + 1, 13)
+        parts = (world.positions, world.velocities, world.attitudes, world.angular_velocities)
+        truth = np.concatenate([part[0] for part in parts], axis=1)
+        np.testing.assert_array_equal(vehicles, truth.astype(np.float32))
+        slots = state[13 * (n + 1) : -1].reshape(n, 3)
+        expected = [infos[agent]["slot"] for agent in env.possible_agents]
+        np.testing.assert_array_equal(slots, np.array(expected, np.float32))
+        assert state[-1] == (env.config.start == "formation")
+        _, _, ended, _, infos = env.step(acts(env, row))
+        if any(ended.values()):
+            break
+
+
+def test_state_belongs_to_the_environment() -> None:
+    """Writing into what was returned changes neither the state nor what follows."""
+    spoiled, untouched = formation_v0.parallel_env(), formation_v0.parallel_env()
+    for array in arrays(spoiled.reset(seed=0)):
+        array[...] = 5.0
+    untouched.reset(seed=0)
+    assert same(spoiled.state(), untouched.state())
+    for row in wild(10, 2, 4):
+        expected = untouched.step(acts(untouched, row))
+        found = spoiled.step(acts(spoiled, row))
+        assert same(found, expected)
+        for array in [*arrays(found), spoiled.state()]:
+            array[...] = 5.0
+        assert same(spoiled.state(), untouched.state())
+
+
+def test_the_first_failure_ends_it_for_all() -> None:
+    env = formation_v0.parallel_env(trajectory=trajectories.hover(), start_offset=0.0)
+    env.reset(seed=0)
+    falling = acts(env, np.array([[-1, 0, 0, 0], [0, 0, 0, 0]], np.float32))
+    while env.agents:
+        _, rewards, ended, late, infos = env.step(falling)
+    assert ended == {"follower_0": True, "follower_1": True}
+    assert late == {"follower_0": False, "follower_1": False}
+    assert rewards["follower_0"] < -9.0 < 0.9 < rewards["follower_1"]
+    assert [infos[a]["failure"] for a in env.possible_agents] == [2, 0]
+    for agent in env.possible_agents:
+        assert rewards[agent] == pytest.approx(sum(infos[agent]["reward_terms"].values()))
+
+
+@pytest.mark.parametrize("steps", [1, 7])
+def test_it_truncates_at_max_cycles(steps: int) -> None:
+    env = formation_v0.parallel_env(max_cycles=steps)
+    env.reset(seed=0)
+    late = []
+    while env.agents:
+        late.append(env.step(acts(env, np.zeros((2, 4), np.float32)))[3])
+    assert env.max_cycles == steps == len(late)
+    assert all(late[-1].values())
+    assert not any(any(flags.values()) for flags in late[:-1])
+
+
+def test_agents_taking_turns_fly_the_same_episode() -> None:
+    turns, at_once = formation_v0.env(max_cycles=30), formation_v0.parallel_env(max_cycles=30)
+    turns.reset(seed=3), at_once.reset(seed=3)
+    for row in wild(30, 2, 4, seed=9):
+        for action in row:
+            turns.step(action)
+        obs, rewards, ended, late, _ = at_once.step(acts(at_once, row))
+        for agent in at_once.possible_agents:
+            assert same(turns.observe(agent), obs[agent])
+        assert turns.rewards == rewards
+        assert (turns.terminations, turns.truncations) == (ended, late)
+        if not at_once.agents:
+            break
+    assert not at_once.agents
