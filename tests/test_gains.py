@@ -136,6 +136,7 @@ def test_the_laws_get_every_gain_in_its_place() -> None:
     for name in law._fields:
         assert getattr(law, name) == getattr(planner, name)
     tracker = TrackerGains(k1=0.4, k2=1.6, k3=9.0, k4=0.7, kz=1.1, sigma_max=4.0, c=60.0, p11=1.2)
+    tracker = replace(tracker, p12=0.31, p22=0.4)
     flat = tracker.law()
     for name in flat._fields:
         assert getattr(flat, name) == getattr(tracker, name), name
