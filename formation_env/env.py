@@ -137,7 +137,7 @@ class FormationEnv(gym.Env[Observation, NDArray[np.float32]]):
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        faces.check_render_mode(render_mode)
+        self._screen = faces.Screen(render_mode)
         self.config = configure(scenario, followers=followers, **options)
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.config.control_period)}
@@ -145,8 +145,6 @@ class FormationEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.action_space = faces.action_space(self.config, self.config.followers)
         self._simulation = Simulation(self.config)
         self._keyed_by: np.random.Generator | None = None
-        self._slots: NDArray[np.float64] | None = None
-        self._renderer: Any = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -158,11 +156,7 @@ class FormationEnv(gym.Env[Observation, NDArray[np.float32]]):
             self._simulation.seed(0, stream_key(self.np_random))
         results = self._simulation.reset()
         info = faces.describe(results.outputs[0])
-        self._slots = info["slots"].copy()  # the caller may write into what it was given
-        if self._renderer is not None:
-            self._renderer.clear()
-        if self.render_mode == "human":
-            self.render()
+        self._screen.begin(self._simulation)
         return results.observations[0].reshape(-1), info
 
     def step(
@@ -175,9 +169,7 @@ class FormationEnv(gym.Env[Observation, NDArray[np.float32]]):
         actions = faces.read_action(action, (n * k,)).reshape(1, n, k)
         results = self._simulation.step(actions)
         info = faces.describe(results.outputs[0])
-        self._slots = info["slots"].copy()  # the caller may write into what it was given
-        if self.render_mode == "human":
-            self.render()
+        self._screen.follow(self._simulation)
         return (
             results.observations[0].reshape(-1),
             float(results.rewards[0]),
@@ -188,20 +180,11 @@ class FormationEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def render(self) -> Any:
         """A frame `(height, width, 3)` of uint8 in mode `rgb_array`; a window in mode `human`."""
-        if self.render_mode is None:
-            gym.logger.warn("render() without a render_mode: pass render_mode to gym.make")
-            return None
-        if self._slots is None:
-            raise ResetNeeded("nothing to draw yet: call reset() before render()")
-        if self._renderer is None:
-            self._renderer = faces.make_renderer(self.config, self.render_mode)
-        return faces.draw(self._renderer, self._simulation, self._slots)
+        return self._screen.draw(self._simulation)
 
     def close(self) -> None:
         """Close the window, if there is one."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
+        self._screen.close()
         self._simulation.close()
 
     @property
@@ -218,7 +201,3 @@ class FormationEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._simulation.set_state(state)
         if self._simulation.seeded[0]:
             self._keyed_by = self.np_random  # the state's own stream goes on at the next reset
-        self._slots = self._simulation.look().outputs[0, :, 5:8]
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_renderer": None}

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
-from gymnasium import spaces
+from gymnasium import logger, spaces
+from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from formation_env.memory import ERROR, FAILED, SEPARATION, SLOT, TERMS
@@ -59,34 +60,64 @@ def describe(outputs: NDArray[np.float64]) -> dict[str, Any]:
     }
 
 
-def check_render_mode(mode: str | None) -> None:
-    """Raise `ValueError` unless the mode is one of `RENDER_MODES` or None."""
-    if mode is not None and mode not in RENDER_MODES:
-        allowed = ", ".join(map(repr, RENDER_MODES))
-        raise ValueError(f"render_mode = {mode!r}: expected one of {allowed} or None")
+@final
+class Screen:
+    """Draws the worlds of a simulation in a render mode, or None for not at all.
 
+    Makes a renderer when a world is first drawn and leaves them behind when pickled. Raises
+    `ValueError` for an unknown mode.
+    """
 
-def make_renderer(config: FormationConfig, mode: str) -> Renderer:
-    """A renderer at the frame rate of the control ticks."""
-    from formation_env.rendering import Renderer
+    def __init__(self, mode: str | None, allowed: tuple[str, ...] = RENDER_MODES) -> None:
+        if mode is not None and mode not in allowed:
+            names = ", ".join(map(repr, allowed))
+            raise ValueError(f"render_mode = {mode!r}: expected one of {names} or None")
+        self.mode = mode
+        self._renderers: dict[int, Renderer] = {}
 
-    return Renderer(mode, 1.0 / config.control_period)
+    def draw(self, simulation: Simulation, world: int = 0) -> Any:
+        """A frame `(height, width, 3)` of uint8 in mode `rgb_array`; a window in mode `human`.
 
+        Raises `ResetNeeded` before the first reset.
+        """
+        if self.mode is None:
+            logger.warn("render() without a render_mode: give one when making the environment")
+            return None
+        if not simulation.seeded[world]:
+            raise ResetNeeded("nothing to draw yet: call reset() before render()")
+        from formation_env.rendering import Renderer, Scene
 
-def draw(
-    renderer: Renderer, simulation: Simulation, slots: NDArray[np.float64], world: int = 0
-) -> Any:
-    """One frame of a world, None in a window; `slots` as in its last `info`."""
-    from formation_env.rendering import Scene
+        period = simulation.config.control_period
+        if world not in self._renderers:
+            self._renderers[world] = Renderer(self.mode, 1.0 / period)
+        # The same path in every frame of an episode: its dashes are counted from its first point.
+        times = np.arange(0.0, simulation.config.duration, 0.1)
+        scene = Scene(
+            float(simulation.time[world]),
+            bool(simulation.started[world]),
+            simulation.positions[world],
+            simulation.attitudes[world],
+            simulation.slots[world],
+            simulation.reference(times, world),
+        )
+        return self._renderers[world].draw(scene)
 
-    # The same path in every frame of an episode: its dashes are counted from its first point.
-    times = np.arange(0.0, simulation.config.duration, 0.1)
-    scene = Scene(
-        float(simulation.time[world]),
-        bool(simulation.started[world]),
-        simulation.positions[world],
-        simulation.attitudes[world],
-        np.asarray(slots),
-        simulation.reference(times, world),
-    )
-    return renderer.draw(scene)
+    def begin(self, simulation: Simulation, world: int = 0) -> None:
+        """A new episode: forget the old one's trails, and show it if there is a window."""
+        if world in self._renderers:
+            self._renderers[world].clear()
+        self.follow(simulation, world)
+
+    def follow(self, simulation: Simulation, world: int = 0) -> None:
+        """Show the world if there is a window: after every step."""
+        if self.mode == "human":
+            self.draw(simulation, world)
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        for renderer in self._renderers.values():
+            renderer.close()
+        self._renderers = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_renderers": {}}

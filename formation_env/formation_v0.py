@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any, final
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
@@ -46,7 +45,7 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        faces.check_render_mode(render_mode)
+        self._screen = faces.Screen(render_mode)
         self.config = configure(scenario, followers=followers, **options)
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.config.control_period)}
@@ -66,8 +65,6 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
         if max_cycles is not None:
             self.max_cycles = max_cycles
         self._seeded = False
-        self._slots: NDArray[np.float64] | None = None
-        self._renderer: Any = None
 
     @property
     def max_cycles(self) -> int:
@@ -95,11 +92,7 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
             self._seeded = True
         results = self._simulation.reset()
         self.agents = list(self.possible_agents)
-        self._slots = results.outputs[0, :, 5:8].copy()  # the caller may write into its infos
-        if self._renderer is not None:
-            self._renderer.clear()
-        if self.render_mode == "human":
-            self.render()
+        self._screen.begin(self._simulation)
         return self._by_agent(results.observations[0]), self._infos(results.outputs[0])
 
     def step(
@@ -120,9 +113,7 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
         ended, late = bool(results.terminated[0]), bool(results.truncated[0])
         if ended or late:
             self.agents = []
-        self._slots = outputs[:, 5:8].copy()
-        if self.render_mode == "human":
-            self.render()
+        self._screen.follow(self._simulation)
         return (
             self._by_agent(results.observations[0]),
             dict(zip(agents, outputs[:, 0].tolist(), strict=True)),
@@ -157,7 +148,7 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
     def state(self) -> Array:
         """The truth, float32: per vehicle, leader first, `p, v, q, omega` (13); per follower its slot
         (3); 1 if the trigger has fired; inertial frame, SI units."""
-        if self._slots is None:
+        if not self._simulation.seeded[0]:
             raise ResetNeeded("there is no state yet: call reset() before state()")
         simulation = self._simulation
         parts = [
@@ -166,26 +157,17 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
             simulation.attitudes[0],
             simulation.angular_velocities[0],
         ]
-        flat = [np.concatenate(parts, axis=1).ravel(), self._slots.ravel()]
+        flat = [np.concatenate(parts, axis=1).ravel(), simulation.slots.ravel()]
         state = np.concatenate([*flat, simulation.started.astype(np.float64)]).astype(np.float32)
         return np.clip(state, self.state_space.low, self.state_space.high)
 
     def render(self) -> Any:
         """A frame `(height, width, 3)` of uint8 in mode `rgb_array`; a window in mode `human`."""
-        if self.render_mode is None:
-            gym.logger.warn("render() without a render_mode: pass render_mode to parallel_env")
-            return None
-        if self._slots is None:
-            raise ResetNeeded("nothing to draw yet: call reset() before render()")
-        if self._renderer is None:
-            self._renderer = faces.make_renderer(self.config, self.render_mode)
-        return faces.draw(self._renderer, self._simulation, self._slots)
+        return self._screen.draw(self._simulation)
 
     def close(self) -> None:
         """Close the window, if there is one."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
+        self._screen.close()
         self._simulation.close()
 
     @property
@@ -201,11 +183,7 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
         """Continue from a state that `get_state` of the same configuration returned."""
         self._simulation.set_state(state)
         self._seeded = bool(self._simulation.seeded[0])
-        self._slots = self._simulation.look().outputs[0, :, 5:8]
         self.agents = [] if self._simulation.over[0] else list(self.possible_agents)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_renderer": None}
 
 
 _TERMS = ("formation", "effort", "smoothness", "failure")

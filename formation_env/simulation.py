@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from formation_env import kernels, memory
 from formation_env.config import FormationConfig
-from formation_env.memory import CLOCK, EPISODE, OVER, STARTED, TICK, Floats, Results
+from formation_env.memory import CLOCK, EPISODE, OVER, SLOT, STARTED, TICK, Floats, Results
 from formation_env.task import Layout
 
 # Below this many vehicles in a call a second thread costs more than it saves.
@@ -149,6 +149,11 @@ class Simulation:
     def angular_velocities(self) -> Floats:
         """True angular velocities, `(num_worlds, 1 + followers, 3)`, rad/s, body."""
         return self._state.vehicles[:, :, 10:13].copy()
+
+    @property
+    def slots(self) -> Floats:
+        """Where the followers should be, `(num_worlds, followers, 3)`, m, inertial."""
+        return self.look().outputs[..., SLOT : SLOT + 3]
 
     @property
     def started(self) -> NDArray[Any]:

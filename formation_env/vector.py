@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from formation_env import faces
+from formation_env.checks import integer
 from formation_env.config import FormationConfig
 from formation_env.kernels import STEP, STEP_AND_RESET, STEP_OR_RESET
 from formation_env.memory import Results
@@ -61,16 +62,14 @@ class FormationVectorEnv(VectorEnv[Array, Array, Array]):
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        _positive("num_envs", num_envs)
+        self.num_envs = integer("num_envs", num_envs, 1)
         if max_episode_steps is not None:
-            _positive("max_episode_steps", max_episode_steps)
+            integer("max_episode_steps", max_episode_steps, 1)
         if threads is not None:
-            _positive("threads", threads)
-        if render_mode not in (None, "rgb_array"):
-            raise ValueError(f"render_mode = {render_mode!r}: expected 'rgb_array' or None")
+            integer("threads", threads, 1)
+        self._screen = faces.Screen(render_mode, ("rgb_array",))
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self.config = configure(scenario, followers=followers, **options)
-        self.num_envs = int(num_envs)
         self.render_mode = render_mode
         self.metadata = {
             **self.metadata,
@@ -83,9 +82,6 @@ class FormationVectorEnv(VectorEnv[Array, Array, Array]):
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         workers = os.cpu_count() or 1 if threads is None else threads
         self._simulation = Simulation(self.config, self.num_envs, workers, max_episode_steps)
-        self._begun = np.zeros(self.num_envs, dtype=np.bool_)
-        self._slots: NDArray[np.float64] | None = None
-        self._renderers: list[Any] = []
 
     def reset(
         self,
@@ -96,20 +92,19 @@ class FormationVectorEnv(VectorEnv[Array, Array, Array]):
         """Start episodes: world i from `seed + i`, or `seed[i]`, or its stream's next episode."""
         seeds = self._seeds(seed)
         mask = self._reset_mask(options)
-        anew = np.flatnonzero(mask & (~self._begun | np.array([s is not None for s in seeds])))
+        anew = np.flatnonzero(
+            mask & (~self._simulation.seeded | np.array([s is not None for s in seeds]))
+        )
         keys = [seeded_key(seeds[i]) for i in anew]  # all of them, before anything changes
         for i, key in zip(anew, keys, strict=True):
             self._simulation.seed(int(i), key)
-        self._begun |= mask
-        if self._renderers:
-            for i in np.flatnonzero(mask):
-                self._renderers[i].clear()
         results = self._simulation.reset(mask)
-        return self._rows(results.observations), self._info(results.outputs, mask)
+        self._begin_drawing()
+        return self._rows(results.observations), _masked(faces.describe(results.outputs), mask)
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         """One control tick in every world."""
-        if not self._begun.all():
+        if not self._simulation.seeded.all():
             raise ResetNeeded("some worlds have not begun: call reset() before step()")
         mode = _MODES[self.autoreset_mode]
         if mode == STEP and self._simulation.over.any():
@@ -118,12 +113,10 @@ class FormationVectorEnv(VectorEnv[Array, Array, Array]):
         n, k = self.config.followers, self.config.action_size
         rows = faces.read_action(actions, (self.num_envs, n * k), "actions")
         if mode == STEP_OR_RESET and self._simulation.over.any():
-            rows[self._simulation.over] = (
-                0.0  # these worlds are reset: their actions are not looked at
-            )
+            rows[self._simulation.over] = 0.0  # worlds about to be reset: not looked at
         results = self._simulation.step(rows.reshape(self.num_envs, n, k), mode)
-        everyone = np.ones(self.num_envs, dtype=np.bool_)
-        info = self._info(results.outputs, everyone)
+        self._begin_drawing()
+        info = _masked(faces.describe(results.outputs), np.ones(self.num_envs, dtype=np.bool_))
         done = results.terminated | results.truncated
         if mode == STEP_AND_RESET and done.any():
             info |= self._final(results, done)
@@ -145,11 +138,11 @@ class FormationVectorEnv(VectorEnv[Array, Array, Array]):
     def _rows(self, observations: Array) -> Array:
         return observations.reshape(self.num_envs, -1)
 
-    def _info(self, outputs: NDArray[np.float64], mask: NDArray[np.bool_]) -> dict[str, Any]:
-        info = faces.describe(outputs)
+    def _begin_drawing(self) -> None:
+        """Let the pictures of worlds that have just begun an episode forget the last one."""
         if self.render_mode is not None:
-            self._slots = info["slots"].copy()  # the caller may write into what it was given
-        return _masked(info, mask)
+            for i in np.flatnonzero(self._simulation.time == 0.0):
+                self._screen.begin(self._simulation, int(i))
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
@@ -178,23 +171,11 @@ class FormationVectorEnv(VectorEnv[Array, Array, Array]):
         """One frame per world in mode `rgb_array`."""
         if self.render_mode is None:
             return None
-        if self._slots is None:
-            raise ResetNeeded("nothing to draw yet: call reset() before render()")
-        if not self._renderers:
-            self._renderers = [
-                faces.make_renderer(self.config, self.render_mode) for _ in range(self.num_envs)
-            ]
-        slots = self._slots
-        return tuple(
-            faces.draw(renderer, self._simulation, slots[i], i)
-            for i, renderer in enumerate(self._renderers)
-        )
+        return tuple(self._screen.draw(self._simulation, i) for i in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Stop the threads."""
-        for renderer in self._renderers:
-            renderer.close()
-        self._renderers = []
+        self._screen.close()
         self._simulation.close()
 
     @property
@@ -209,11 +190,6 @@ class FormationVectorEnv(VectorEnv[Array, Array, Array]):
     def set_state(self, state: Snapshot) -> None:
         """Continue from a state that `get_state` of the same configuration and size returned."""
         self._simulation.set_state(state)
-        self._begun = self._simulation.seeded
-        self._slots = self._simulation.look().outputs[..., 5:8]
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_renderers": []}
 
 
 def _masked(info: dict[str, Any], mask: NDArray[np.bool_]) -> dict[str, Any]:
@@ -229,12 +205,6 @@ def _masked(info: dict[str, Any], mask: NDArray[np.bool_]) -> dict[str, Any]:
             named[name] = value
         named[f"_{name}"] = mask.copy()
     return named
-
-
-def _positive(name: str, value: Any) -> None:
-    integral = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    if not integral or value < 1:
-        raise ValueError(f"{name} = {value!r}: expected an integer of at least 1")
 
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
