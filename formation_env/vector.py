@@ -62,6 +62,7 @@ class FormationVectorEnv(VectorEnv[Array, Array, Array]):
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
+        self.closed = True  # until it is built: Gymnasium 1.2 closes whatever is collected
         self.num_envs = integer("num_envs", num_envs, 1)
         if max_episode_steps is not None:
             integer("max_episode_steps", max_episode_steps, 1)
@@ -82,6 +83,7 @@ class FormationVectorEnv(VectorEnv[Array, Array, Array]):
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         workers = os.cpu_count() or 1 if threads is None else threads
         self._simulation = Simulation(self.config, self.num_envs, workers, max_episode_steps)
+        self.closed = False
 
     def reset(
         self,
