@@ -40,6 +40,19 @@ def device(function: F) -> F:
     return njit(fastmath=FASTMATH, error_model="numpy", forceinline=True)(function)  # type: ignore[no-any-return]
 
 
+def plain(function: F) -> F:
+    """The Python function behind a compiled one, for calls that are not worth compiling for."""
+    return getattr(function, "py_func", function)
+
+
+def loop(function: F) -> F:
+    """Compile `function` as a loop of its own, called by kernels and not inlined by us.
+
+    Small enough for the compiler to vectorise, and one piece of machine code for all its callers.
+    """
+    return njit(fastmath=FASTMATH, error_model="numpy", nogil=True)(function)  # type: ignore[no-any-return]
+
+
 def kernel(function: F) -> F:
     """Compile `function` as an entry point: cached on disk, GIL released.
 

@@ -163,7 +163,7 @@ class FormationEnv(gym.Env[Observation, NDArray[np.float32]]):
         self, action: NDArray[np.float32]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One control tick. Raises `ResetNeeded` before the first reset and after the end."""
-        if self._simulation.over[0]:
+        if self._simulation.ended(0):
             raise ResetNeeded("the episode is over or has not begun: call reset() before step()")
         n, k = self.config.followers, self.config.action_size
         actions = faces.read_action(action, (n * k,)).reshape(1, n, k)

@@ -32,7 +32,12 @@ def action_space(config: FormationConfig, rows: int) -> Any:
 
 
 def read_action(action: Any, shape: tuple[int, ...], name: str = "action") -> NDArray[np.float32]:
-    """The action as float32 of the given shape; `ValueError` if it is of another, or not numbers."""
+    """The action as float32 of the given shape, itself where it is that already.
+
+    Raises `ValueError` if it is of another shape, or not numbers.
+    """
+    if type(action) is np.ndarray and action.dtype == np.float32 and action.shape == shape:
+        return action  # as nearly always: nothing to check, and the kernels only read
     array = np.asarray(action)
     if array.dtype.kind not in "fiu":
         raise ValueError(f"{name} has dtype {array.dtype}: expected real numbers")

@@ -14,6 +14,7 @@ from pettingzoo.utils import parallel_to_aec, wrappers
 from formation_env import faces
 from formation_env.checks import integer
 from formation_env.config import FormationConfig
+from formation_env.memory import ERROR, FAILED, SEPARATION, SLOT, TERMS
 from formation_env.scenarios import configure
 from formation_env.simulation import Simulation, Snapshot, seeded_key
 
@@ -127,22 +128,31 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
             found = list(actions) if isinstance(actions, dict) else type(actions).__name__
             raise ValueError(f"actions for {found}: expected one for each of {self.agents}")
         shape = (self.config.action_size,)
-        rows = [faces.read_action(actions[a], shape, f"action of {a}") for a in self.agents]
-        return np.stack(rows)[None]
+        rows = np.empty((1, len(self.agents), *shape), dtype=np.float32)
+        for i, agent in enumerate(self.agents):
+            rows[0, i] = faces.read_action(actions[agent], shape, f"action of {agent}")
+        return rows
 
     def _by_agent(self, rows: Array) -> dict[str, Array]:
         return dict(zip(self.possible_agents, rows, strict=True))
 
     def _infos(self, outputs: NDArray[np.float64]) -> dict[str, dict[str, Any]]:
+        # One conversion for all: a NumPy scalar each would cost more than the simulation.
         return {
             agent: {
-                "slot": outputs[i, 5:8],
-                "slot_error": outputs[i, 8:11],
-                "separation": float(outputs[i, 11]),
-                "failure": int(outputs[i, 12]),
-                "reward_terms": dict(zip(_TERMS, outputs[i, 1:5].tolist(), strict=True)),
+                "slot": slot,
+                "slot_error": error,
+                "separation": row[SEPARATION],
+                "failure": int(row[FAILED]),
+                "reward_terms": dict(zip(_TERMS, row[TERMS : TERMS + 4], strict=True)),
             }
-            for i, agent in enumerate(self.possible_agents)
+            for agent, row, slot, error in zip(
+                self.possible_agents,
+                outputs.tolist(),
+                outputs[:, SLOT : SLOT + 3],
+                outputs[:, ERROR : ERROR + 3],
+                strict=True,
+            )
         }
 
     def state(self) -> Array:

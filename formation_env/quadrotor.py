@@ -21,12 +21,15 @@ from typing import NamedTuple
 
 from formation_env._jit import device
 from formation_env.so3 import (
+    ZERO,
     Quaternion,
     Vector,
     add_scaled,
     cross,
     level,
     normalise,
+    pick,
+    pick_vector,
     rotation,
     times,
 )
@@ -185,13 +188,17 @@ def touch_floor(body: Body, before: Body) -> tuple[Body, Contact]:
     say, from the speed and uprightness reported.
     """
     r3z = 1.0 - 2.0 * (body.q[1] * body.q[1] + body.q[2] * body.q[2])
-    below = body.p[2] > 0.0 or (body.p[2] == 0.0 and body.v[2] >= 0.0)
-    if not below:
-        return body, Contact(False, 0.0, r3z)
-    rest = Body(
-        (before.p[0], before.p[1], 0.0),
-        (0.0, 0.0, 0.0),
-        level(before.q),
-        (0.0, 0.0, 0.0),
+    below = (body.p[2] > 0.0) | ((body.p[2] == 0.0) & (body.v[2] >= 0.0))
+    rest = Body((before.p[0], before.p[1], 0.0), ZERO, level(before.q), ZERO)
+    kept = Body(
+        pick_vector(below, rest.p, body.p),
+        pick_vector(below, rest.v, body.v),
+        (
+            pick(below, rest.q[0], body.q[0]),
+            pick(below, rest.q[1], body.q[1]),
+            pick(below, rest.q[2], body.q[2]),
+            pick(below, rest.q[3], body.q[3]),
+        ),
+        pick_vector(below, rest.w, body.w),
     )
-    return rest, Contact(True, max(body.v[2], 0.0), r3z)
+    return kept, Contact(below, pick(below, max(body.v[2], 0.0), 0.0), r3z)

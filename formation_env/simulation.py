@@ -52,8 +52,14 @@ class Simulation:
         self.num_worlds = num_worlds
         self.threads = max(1, min(threads, num_worlds))
         self.layout: Layout = config.layout
-        self._constants = memory.constants(config, self.max_steps)
-        self._state = memory.allocate(config, num_worlds)
+        references = np.zeros((0, 15))
+        if config.trajectory.random is None:
+            kind, table = config.trajectory.kind, config.trajectory.table
+            period = float(config.control_period)
+            references = kernels.reference_table(kind, table, period, config.max_steps)
+        self._memory = memory.allocate(config, num_worlds, self.max_steps, references)
+        self._state = memory.views(self._memory)
+        self._rooms = [np.zeros(memory.room_size(config)) for _ in range(self.threads)]
         self._everyone = np.ones(num_worlds, dtype=np.bool_)
         self._pool: ThreadPoolExecutor | None = None
         self._pool_owner = 0
@@ -73,6 +79,9 @@ class Simulation:
         self, actions: NDArray[np.float32], mode: int = kernels.STEP, mask: Any = None
     ) -> Results:
         """One control tick in the worlds of `mask`. `mode` says what happens to ended episodes."""
+        if not (actions.flags.c_contiguous and actions.flags.writeable):
+            # Another layout or a read-only array would be another type, compiled for anew.
+            actions = np.array(actions, order="C")
         bad = kernels.first_bad_action(actions)
         if bad >= 0:
             world, follower = divmod(bad, self.config.followers)
@@ -93,19 +102,22 @@ class Simulation:
 
     def _run(self, mode: int, actions: NDArray[np.float32], mask: Any) -> Results:
         mask = self._everyone if mask is None else mask
-        results = memory.results(self.config, self.num_worlds, mode == kernels.STEP_AND_RESET)
-        arguments = (mode, actions, mask, self._state, self._constants, results)
+        final = mode == kernels.STEP_AND_RESET
+        results, arrays = memory.results(self.config, self.num_worlds, final)
+        arguments: tuple[Any, ...] = (mode, actions, mask, *self._memory, *arrays)
+        advance: Any = kernels.advance
+        tiles = len(self._state.vehicles)
         vehicles = self.num_worlds * (self.config.followers + 1)
-        threads = min(self.threads, 1 + vehicles // _VEHICLES_PER_THREAD)
+        threads = min(self.threads, tiles, 1 + vehicles // _VEHICLES_PER_THREAD)
         if threads == 1:
-            kernels.advance(0, self.num_worlds, *arguments)
+            advance(0, tiles, *arguments, self._rooms[0])
             return results
-        edges = [self.num_worlds * i // threads for i in range(threads + 1)]
+        edges = [tiles * i // threads for i in range(threads + 1)]
         jobs = [
-            self._executor().submit(kernels.advance, a, b, *arguments)
-            for a, b in pairwise(edges[1:])
+            self._executor().submit(advance, *(a, b, *arguments, room))
+            for (a, b), room in zip(pairwise(edges[1:]), self._rooms[1:], strict=False)
         ]
-        kernels.advance(edges[0], edges[1], *arguments)
+        advance(edges[0], edges[1], *arguments, self._rooms[0])
         for job in jobs:
             job.result()
         return results
@@ -126,29 +138,29 @@ class Simulation:
     def limit(self, max_steps: int) -> None:
         """Truncate episodes after so many ticks, or at the configured duration if that is earlier."""
         self.max_steps = min(max_steps, self.config.max_steps)
-        self._constants = self._constants._replace(max_steps=self.max_steps)
+        self._memory.sizes[memory.MAX_STEPS] = self.max_steps
 
     # -- looking in -------------------------------------------------------------------------------
 
     @property
     def positions(self) -> Floats:
         """True positions, `(num_worlds, 1 + followers, 3)`, m, inertial; the leader first."""
-        return self._state.vehicles[:, :, 0:3].copy()
+        return memory.by_world(self._state.vehicles[:, :, 0:3], self.num_worlds)
 
     @property
     def velocities(self) -> Floats:
         """True velocities, same shape, m/s, inertial."""
-        return self._state.vehicles[:, :, 3:6].copy()
+        return memory.by_world(self._state.vehicles[:, :, 3:6], self.num_worlds)
 
     @property
     def attitudes(self) -> Floats:
         """True attitudes, `(num_worlds, 1 + followers, 4)`, quaternions (w, x, y, z)."""
-        return self._state.vehicles[:, :, 6:10].copy()
+        return memory.by_world(self._state.vehicles[:, :, 6:10], self.num_worlds)
 
     @property
     def angular_velocities(self) -> Floats:
         """True angular velocities, `(num_worlds, 1 + followers, 3)`, rad/s, body."""
-        return self._state.vehicles[:, :, 10:13].copy()
+        return memory.by_world(self._state.vehicles[:, :, 10:13], self.num_worlds)
 
     @property
     def slots(self) -> Floats:
@@ -164,6 +176,10 @@ class Simulation:
     def seeded(self) -> NDArray[np.bool_]:
         """Whether an episode has been started since the last `seed`, per world."""
         return self._state.counters[:, EPISODE] >= 0
+
+    def ended(self, world: int) -> bool:
+        """Whether the episode of one world has ended, or none has begun."""
+        return bool(self._state.counters[world, OVER])
 
     @property
     def over(self) -> NDArray[Any]:
@@ -184,7 +200,7 @@ class Simulation:
         """The leader's reference positions at `times` since the trigger, `(N, 3)`, m, inertial."""
         tables = self._state.tables
         table = tables[world if len(tables) > 1 else 0]
-        return kernels.reference_path(self._constants.trajectory_kind, table, np.asarray(times))
+        return kernels.reference_path(self.config.trajectory.kind, table, np.asarray(times))
 
     # -- saving -----------------------------------------------------------------------------------
 
@@ -216,7 +232,12 @@ class Simulation:
             array[...] = snapshot.state[name]
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pool": None}
+        # The state's arrays are views, which a copy would cut off from the memory they show.
+        return {**self.__dict__, "_pool": None, "_state": None}
+
+    def __setstate__(self, saved: dict[str, Any]) -> None:
+        self.__dict__.update(saved)
+        self._state = memory.views(self._memory)
 
 
 def stream_key(generator: np.random.Generator) -> int:

@@ -35,7 +35,9 @@ def heading_rate(R: complex, v_L: complex, d_x: float) -> float:
 def turn(R: complex, angle: float) -> complex:
     """`R` turned by `angle`, to second order and exactly on the circle (Cayley's map)."""
     half = complex(1.0, 0.5 * angle)
-    return R * (half * half) / (1.0 + 0.25 * angle * angle)
+    turned = R * (half * half)
+    s = 1.0 / (1.0 + 0.25 * angle * angle)
+    return complex(s * turned.real, s * turned.imag)
 
 
 @device

@@ -136,10 +136,23 @@ def shortest_arc(r3: Vector) -> Quaternion:
 
 @device
 def level(q: Quaternion) -> Quaternion:
-    """The attitude of a vehicle standing on its feet: the yaw of `q` alone (its twist about `k`)."""
+    """The attitude of a vehicle standing on its feet: the yaw of `q` alone (its twist about `k`).
+
+    Where there is no such twist (`q` a half turn about a horizontal axis) the yaw is zero.
+    """
     w, z = q[0], q[3]
     n = w * w + z * z
-    if n < 1e-12:
-        return (1.0, 0.0, 0.0, 0.0)
-    s = 1.0 / sqrt(n)
-    return (s * w, 0.0, 0.0, s * z)
+    none = n < 1e-12
+    s = 1.0 / sqrt(pick(none, 1.0, n))
+    return (pick(none, 1.0, s * w), 0.0, 0.0, pick(none, 0.0, s * z))
+
+
+@device
+def pick(condition: bool, a: float, b: float) -> float:
+    """`a` if the condition holds, else `b`; both are computed, so that the compiler can vectorise it."""
+    return a if condition else b
+
+
+@device
+def pick_vector(condition: bool, a: Vector, b: Vector) -> Vector:
+    return (pick(condition, a[0], b[0]), pick(condition, a[1], b[1]), pick(condition, a[2], b[2]))

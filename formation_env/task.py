@@ -167,13 +167,11 @@ def failure(
     Distances in m, `speed` of the hardest touch-down in m/s (0 in the air), its `uprightness` r3 . k.
     A speed that is not a number counts as lost: the state has left what can be computed.
     """
-    if separation < limits.collision:
-        return COLLISION
-    if speed > limits.impact or (speed > 0.0 and uprightness < limits.tilt):
-        return IMPACT
-    if not error <= limits.lost:
-        return LOST
-    return NO_FAILURE
+    crashed = (speed > limits.impact) | ((speed > 0.0) & (uprightness < limits.tilt))
+    lost = not error <= limits.lost
+    why = LOST if lost else NO_FAILURE
+    why = IMPACT if crashed else why
+    return COLLISION if separation < limits.collision else why
 
 
 @device
@@ -190,16 +188,23 @@ def reward(
     `error` is the true slot error in m, `size` the number of entries an action has.
     """
     x = error / weights.scale
-    effort = smooth = 0.0
-    for i in range(4):
-        effort += action[i] * action[i]
-        smooth += (action[i] - previous[i]) * (action[i] - previous[i])
+    b = (
+        action[0] - previous[0],
+        action[1] - previous[1],
+        action[2] - previous[2],
+        action[3] - previous[3],
+    )
     return Terms(
         1.0 / (1.0 + x * x),
-        -weights.effort * effort / size,
-        -weights.smoothness * smooth / size,
+        -weights.effort * _square(action) / size,
+        -weights.smoothness * _square(b) / size,
         -weights.failure if failed else 0.0,
     )
+
+
+@device
+def _square(a: Action) -> float:
+    return a[0] * a[0] + a[1] * a[1] + a[2] * a[2] + a[3] * a[3]
 
 
 @device

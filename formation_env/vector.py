@@ -115,6 +115,7 @@ class FormationVectorEnv(VectorEnv[Array, Array, Array]):
         n, k = self.config.followers, self.config.action_size
         rows = faces.read_action(actions, (self.num_envs, n * k), "actions")
         if mode == STEP_OR_RESET and self._simulation.over.any():
+            rows = rows.copy()
             rows[self._simulation.over] = 0.0  # worlds about to be reset: not looked at
         results = self._simulation.step(rows.reshape(self.num_envs, n, k), mode)
         self._begin_drawing()

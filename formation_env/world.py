@@ -120,13 +120,6 @@ def track(m: Motion, ref: Reference, actuation: int, world: World) -> Wrench:
 
 
 @device
-def command_leader(m: Measured, ref: Reference, world: World) -> Wrench:
-    """What the leader's actuators do: it is flown by the tracker on its own measurements."""
-    wanted = track(motion(m), ref, world.leader_actuation, world)
-    return saturate(wanted, world.leader_actuation, world.airframe)
-
-
-@device
 def guided(action: Action, guide: Guide, R: complex, world: World) -> Reference:
     """The trajectory of a virtual follower that the action accelerates; no jerk, no snap.
 
@@ -138,14 +131,17 @@ def guided(action: Action, guide: Guide, R: complex, world: World) -> Reference:
 
 
 @device
-def command_follower(action: Action, m: Measured, ref: Reference, world: World) -> Wrench:
-    """What a follower's actuators do with an action in [-1, 1]; `ref` matters at level REFERENCE."""
-    if world.level == REFERENCE:
-        wanted = track(motion(m), ref, world.follower_actuation, world)
-    else:
-        r = world.reach
-        turn = (r.turn[0] * action[1], r.turn[1] * action[2], r.turn[2] * action[3])
-        wanted = Wrench(0.5 * r.thrust * (action[0] + 1.0), turn)
+def driven(action: Action, world: World) -> Wrench:
+    """What an action in [-1, 1] asks of the actuators at the levels WRENCH and RATE."""
+    r = world.reach
+    turn = (r.turn[0] * action[1], r.turn[1] * action[2], r.turn[2] * action[3])
+    return Wrench(0.5 * r.thrust * (action[0] + 1.0), turn)
+
+
+@device
+def command_guided(m: Measured, ref: Reference, world: World) -> Wrench:
+    """What the actuators do at level REFERENCE: the tracker flies along `ref`."""
+    wanted = track(motion(m), ref, world.follower_actuation, world)
     return saturate(wanted, world.follower_actuation, world.airframe)
 
 
@@ -189,10 +185,10 @@ def truth(
 
 
 @device
-def hold(ref: Reference) -> Reference:
-    """A reference that waits at its point: before the trigger (40)."""
+def hold_at(p: Vector) -> Reference:
+    """A reference that waits at a point: before the trigger (40)."""
     o = (0.0, 0.0, 0.0)
-    return Reference(ref.p, o, o, o, o)
+    return Reference(p, o, o, o, o)
 
 
 @device

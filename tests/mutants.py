@@ -108,7 +108,7 @@ MUTANTS = [
     Mutant("quadrotor", "after.v, normalise(after.q)", "after.v, (after.q)"),
     Mutant("quadrotor", "if actuation == MOMENT else", "if actuation == RATES else"),
     Mutant("quadrotor", "min(max(x, low), high)", "min(max(x, -low), high)"),
-    Mutant("quadrotor", "body.p[2] > 0.0 or", "body.p[2] < 0.0 or"),
+    Mutant("quadrotor", "(body.p[2] > 0.0) |", "(body.p[2] < 0.0) |"),
     Mutant("quadrotor", "body.v[2] >= 0.0", "body.v[2] <= 0.0"),
     Mutant("quadrotor", "max(body.v[2], 0.0)", "max(-body.v[2], 0.0)"),
     # The tracker: errors, closed-form rates, laws, Lyapunov function.

@@ -402,7 +402,7 @@ def test_a_state_of_something_else_is_refused(make: Any) -> None:
 def test_a_state_of_another_number_of_worlds_is_refused() -> None:
     two, three = FormationVectorEnv(2), FormationVectorEnv(3)
     two.reset(seed=0), three.reset(seed=0)
-    with pytest.raises(ValueError, match=r"state\['vehicles'\]"):
+    with pytest.raises(ValueError, match=r"state\['[a-z]+'\] is .* \(2,"):
         three.set_state(two.get_state())
 
 

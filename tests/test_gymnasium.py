@@ -18,6 +18,7 @@ from gymnasium.utils.env_checker import check_env
 from formation_env import Limits, trajectories
 from formation_env.env import FormationEnv
 from formation_env.quadrotor import GRAVITY
+from formation_env.simulation import Simulation
 from formation_env.task import COLLISION, IMPACT, LOST, NEIGHBOUR_ENTRIES, NO_FAILURE, Layout
 from formation_env.world import REFERENCE
 
@@ -330,8 +331,11 @@ def test_one_follower_and_no_neighbours(action: str) -> None:
 def test_256_followers_fly() -> None:
     env = FormationEnv("swarm", followers=256)
     steps = episode(env, np.zeros((3, 1024), np.float32), seed=0)
+    # A world alone has a tile of 16 to itself; with its tile full a vehicle needs less than 1 KB.
     stored = sum(array.nbytes for array in env.get_state().state.values())
-    assert stored < 257 * 1024  # bytes: linear in the number of vehicles, below 1 KB each
+    assert stored < 16 * 257 * 1024
+    full = Simulation(env.config, 16).get_state().state.values()
+    assert sum(array.nbytes for array in full) < 16 * 257 * 1024
     assert (np.linalg.norm(steps[0][1]["slot_error"], axis=1) <= 0.2 + 1e-12).all()
     rows = env.config.layout.unpack(steps[-1][0].reshape(256, -1))
     p = env.simulation.positions[0, 1:]

@@ -1,0 +1,237 @@
+"""The benchmark: `python -m benchmarks.throughput`, about ten minutes; `--quick` in about one.
+
+Steps of the vector environment over worlds, followers, action levels and threads, beside a bare kernel
+that does only the rigid-body substeps (`floor`) and beside the neighbours that are installed
+(`peers`), all in one run. Writes `throughput.json`, `throughput.md` and, with Matplotlib,
+`throughput.png` to the folder of `--output`. Run it on a machine that does nothing else.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import shlex
+import sys
+from collections.abc import Callable, Sequence
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+
+import formation_env
+from benchmarks import grid, report, single, startup
+from formation_env.config import LEVELS, MAX_FOLLOWERS
+
+Figures = dict[str, Any]
+Say = Callable[[str], None]
+
+
+def _numbers(text: str, most: int = 10**7) -> list[int]:
+    try:
+        values = [int(word) for word in text.split(",")]
+    except ValueError:
+        values = []
+    if not values or not all(1 <= value <= most for value in values):
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: expected whole numbers from 1 to {most}, as 1,16"
+        )
+    return sorted(set(values))
+
+
+def _followers(text: str) -> list[int]:
+    return _numbers(text, MAX_FOLLOWERS)
+
+
+def _names(allowed: Sequence[str]) -> Callable[[str], list[str]]:
+    def read(text: str) -> list[str]:
+        names = text.split(",")
+        for name in names:
+            if name not in allowed:
+                raise argparse.ArgumentTypeError(f"{name!r}: expected some of {','.join(allowed)}")
+        return names
+
+    return read
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a number above 0")
+    return value
+
+
+def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """The options; `--quick` changes the defaults of those not given."""
+    parser = argparse.ArgumentParser("benchmarks.throughput", description=__doc__.split("\n")[0])
+    add = parser.add_argument
+    add("--quick", action="store_true", help="fewer combinations and rounds, no start-up times")
+    add("--worlds", type=_numbers, help="default 1,16,256,4096,65536; quick 1,256,4096")
+    add("--followers", type=_followers, help="default 2,16,256; quick 2,16")
+    add("--threads", type=_numbers, default=[1, 2], help="default 1,2")
+    add("--scenarios", type=_names(("nominal", "paper")), default=["nominal", "paper"])
+    add(
+        "--actions",
+        type=_names(tuple(LEVELS)),
+        help="default all, quick wrench; all but the first at the first number of followers only",
+    )
+    add("--rounds", type=_numbers, help="samples of each figure; default 7, quick 3")
+    add("--seconds", type=_positive, help="length of a sample; default 0.05, quick 0.02")
+    add("--memory", type=_positive, default=8.0, help="GiB that a combination may need; default 8")
+    add("--peers", action=argparse.BooleanOptionalAction, default=True, help="time neighbours too")
+    add("--startup", action=argparse.BooleanOptionalAction, help="import, compile, growth")
+    add("--output", type=Path, default=Path("results/benchmarks"))
+    options = parser.parse_args(arguments)
+    full = {
+        "worlds": [1, 16, 256, 4096, 65536],
+        "followers": [2, 16, 256],
+        "actions": list(LEVELS),
+        "rounds": [7],
+        "seconds": 0.05,
+        "startup": True,
+    }
+    quick = {
+        "worlds": [1, 256, 4096],
+        "followers": [2, 16],
+        "actions": ["wrench"],
+        "rounds": [3],
+        "seconds": 0.02,
+        "startup": False,
+    }
+    for name, value in (quick if options.quick else full).items():
+        if getattr(options, name) is None:
+            setattr(options, name, value)
+    options.rounds = options.rounds[0]
+    return options
+
+
+def _machine() -> dict[str, Any]:
+    return {
+        "cores": os.cpu_count(),
+        "processor": platform.machine(),
+        "Python": platform.python_version(),
+        "NumPy": np.__version__,
+        "Numba": numba.__version__,
+        "formation-env": formation_env.__version__,
+    }
+
+
+def points(options: argparse.Namespace) -> list[grid.Point]:
+    """The combinations asked for, small ones first."""
+    return [
+        grid.Point(scenario, action, followers, worlds)
+        for scenario, action, followers, worlds in product(
+            options.scenarios, options.actions, options.followers, options.worlds
+        )
+        if action == options.actions[0] or followers == options.followers[0]
+    ]
+
+
+def _grid(options: argparse.Namespace, figures: Figures, say: Say) -> None:
+    limit = options.memory * 2**30
+    for point in points(options):
+        needed = point.reckoned_bytes(len(options.threads))
+        where = f"{point.scenario} {point.action} {point.worlds} worlds x {point.followers}"
+        if needed > limit:
+            say(f"skipped {where}: needs about {needed / 2**30:.1f} GiB, see --memory")
+            continue
+        rows = grid.measure(point, options.threads, options.rounds, options.seconds)
+        figures["grid"] += rows
+        write(figures, options.output, draw=False)
+        for row in rows:
+            print(
+                f"{where}, threads {row['threads']}: {row['step_us']:,.1f} us, "
+                f"{1e-6 * row['agent_steps_per_s']:.3g} M agent steps/s, "
+                f"{row['share_of_floor']:.2f} of the floor, x{row['speedup']:.2f}",
+                flush=True,
+            )
+
+
+def _memory(options: argparse.Namespace, figures: Figures) -> None:
+    # Many vehicles, so that what belongs to none of them does not count.
+    for scenario, followers in product(options.scenarios, options.followers):
+        worlds = max(64, 50_000 // (followers + 1))
+        figures["memory"].append(
+            {
+                "scenario": scenario,
+                "followers": followers,
+                "worlds": worlds,
+                **startup.memory(scenario, followers, worlds, max(options.threads)),
+            }
+        )
+
+
+def _singles(options: argparse.Namespace, figures: Figures, say: Say) -> None:
+    rounds, seconds = options.rounds, options.seconds
+    figures["one_world"] = single.one_world(rounds, seconds, options.peers, say)
+    most, threads = max(options.worlds), max(options.threads)
+    if options.peers:
+        figures["batches"] = single.batches(threads, rounds, seconds, most, say)
+    flight = 1.0 if options.quick else 10.0
+    figures["expert"] = [
+        single.expert(scenario, min(4096, most), threads, rounds, seconds, flight)
+        for scenario in options.scenarios
+    ]
+
+
+def _startup(options: argparse.Namespace) -> Figures:
+    steps = 20_000 if options.quick else 1_000_000
+    return {
+        "import": startup.imported(3),
+        "first_steps": startup.first_steps(),
+        "growth": startup.growth(steps),
+        "growth_steps": steps,
+    }
+
+
+def write(figures: Figures, folder: Path, draw: bool = True) -> None:
+    """The three files, or all but the plot. An interrupted run leaves what it had finished."""
+    folder.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(figures, indent=1)
+    (folder / "throughput.json").write_text(text + "\n", encoding="utf-8")
+    (folder / "throughput.md").write_text(report.markdown(figures), encoding="utf-8")
+    if figures["grid"] and draw:
+        report.plot(figures["grid"], folder / "throughput.png")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the benchmark; returns the exit status."""
+    options = parse(arguments)
+    words = sys.argv[1:] if arguments is None else arguments
+    figures: Figures = {
+        "command": shlex.join(["python", "-m", "benchmarks.throughput", *words]),
+        "machine": _machine(),
+        "notes": [],
+        "grid": [],
+        "memory": [],
+    }
+
+    def say(note: str) -> None:
+        print(note, flush=True)
+        figures["notes"].append(note)
+
+    try:
+        write(figures, options.output)  # before the work, not after it
+    except OSError as problem:
+        print(f"argument --output: {options.output}: {problem.strerror}", file=sys.stderr)
+        return 2
+    _singles(options, figures, say)
+    write(figures, options.output)
+    _memory(options, figures)
+    if options.startup:
+        figures["startup"] = _startup(options)
+    write(figures, options.output)
+    _grid(options, figures, say)
+    write(figures, options.output)
+    print("\n" + report.bars_table(figures) + f"\n\nWritten to {options.output}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
