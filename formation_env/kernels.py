@@ -26,6 +26,7 @@ from formation_env.lanes import (
     locate,
     see,
     see_guide,
+    sense,
     sense_exactly,
     turn_headings,
 )
@@ -195,15 +196,17 @@ def _sense(state: State, t: int, i: int, room: Scratch, k: int, s: World) -> Non
         applied = Wrench(room.commands[i, lane], (0.0, 0.0, 0.0))
         touching = room.touches[i, 2 * LANES + lane] != 0.0
         exact = truth(load_body(x), applied, load(x, 13), touching, s.airframe)
-        raw = corrupt(exact, s.noise, state.episode_keys[w], i, count)
+        raw = exact
+        if not silent(s.noise):
+            raw = corrupt(exact, s.noise, state.episode_keys[w], i, count)
         _take_sample(ring(state, w, i), state.speeds[w], raw, count, i == 0, s)
 
 
 @device
 def _plain(s: World) -> bool:
-    """Whether every tick ends with a measurement that is exact and at once in hand."""
+    """Whether every tick ends with a measurement that is at once in hand."""
     c = s.clock
-    return silent(s.noise) and c.window == 0 and c.delay == 0 and c.sample_every == c.substeps
+    return c.window == 0 and c.delay == 0 and c.sample_every == c.substeps
 
 
 @device
@@ -236,7 +239,9 @@ def _place(state: State, w: int, i: int, body: Body, a: Vector, key: Any, s: Wor
     put_body(x, body)
     put(x, 13, (0.0, 0.0, 0.0))
     exact = Measured(body.p, body.v, a, body.q, body.w)
-    raw = corrupt(exact, s.noise, key, i, 0)
+    raw = exact
+    if not silent(s.noise):
+        raw = corrupt(exact, s.noise, key, i, 0)
     for k in range(s.clock.delay + 1):
         put_sample(ring(state, w, i)[k], raw)
     if i == 0:
@@ -412,6 +417,10 @@ def _fly(state: State, t: int, room: Scratch, s: World) -> None:
     """Fly all vehicles of the active worlds of tile `t` for one tick, sampling on the way."""
     h = s.clock.period / s.clock.substeps
     plain = _plain(s)
+    counts = np.zeros(LANES, dtype=np.uint64)
+    if plain and not silent(s.noise):
+        for lane in range(min(LANES, len(state.counters) - t * LANES)):
+            counts[lane] = state.counters[t * LANES + lane, TICK] + 1
     # In step with the ticks a measurement is due at their end; else the worlds differ.
     aligned = s.clock.sample_every % s.clock.substeps == 0
     for i in range(state.vehicles.shape[1]):
@@ -429,7 +438,12 @@ def _fly(state: State, t: int, room: Scratch, s: World) -> None:
                 _sense(state, t, i, room, k, s)
         if plain:
             sample = state.samples[t, i, 0].reshape(16 * LANES)
-            sense_exactly(x, commands, touches, room.active, sample, s.airframe)
+            if silent(s.noise):
+                sense_exactly(x, commands, touches, room.active, sample, s.airframe)
+            else:
+                keys = state.episode_keys[t * LANES : (t + 1) * LANES]
+                air, noise, active = s.airframe, s.noise, room.active
+                sense(x, commands, touches, active, sample, air, noise, keys, counts, i)
 
 
 @device

@@ -14,7 +14,7 @@ import numpy as np
 from formation_env._jit import device, loop
 from formation_env.memory import ESTIMATE, GUIDE_P, GUIDE_V, HEADING, LANES, PREVIOUS
 from formation_env.quadrotor import MOMENT, RATES, Airframe, Body, Wrench, saturate
-from formation_env.sensors import Measured
+from formation_env.sensors import Measured, Noise, corrupt
 from formation_env.slots import advance_heading, slot
 from formation_env.so3 import Vector, dot, pick, pick_vector, sub
 from formation_env.task import (
@@ -155,15 +155,42 @@ def sense_exactly(
         body = Body(_load(x, 0, lane), _load(x, 3, lane), q, _load(x, 10, lane))
         applied = Wrench(command[lane], _load(command, 1, lane))
         m = truth(body, applied, _load(x, 13, lane), touch[at(2, lane)] > 0.0, frame)
-        on = active[lane] > 0.0
-        _keep_vector(sample, 0, lane, on, m.p)
-        _keep_vector(sample, 3, lane, on, m.v)
-        _keep_vector(sample, 6, lane, on, m.a)
-        _keep(sample, 9, lane, on, m.q[0])
-        _keep(sample, 10, lane, on, m.q[1])
-        _keep(sample, 11, lane, on, m.q[2])
-        _keep(sample, 12, lane, on, m.q[3])
-        _keep_vector(sample, 13, lane, on, m.w)
+        _keep_sample(sample, lane, active[lane] > 0.0, m)
+
+
+@loop
+def sense(
+    x: Any,
+    command: Any,
+    touch: Any,
+    active: Any,
+    sample: Any,
+    frame: Airframe,
+    noise: Noise,
+    keys: Any,
+    counts: Any,
+    who: int,
+) -> None:
+    """A noisy measurement, number `counts`, of vehicle `who`, in the active lanes."""
+    for lane in range(_LANES):
+        q = _four(x, 6, lane)
+        body = Body(_load(x, 0, lane), _load(x, 3, lane), q, _load(x, 10, lane))
+        applied = Wrench(command[lane], _load(command, 1, lane))
+        exact = truth(body, applied, _load(x, 13, lane), touch[at(2, lane)] > 0.0, frame)
+        m = corrupt(exact, noise, keys[lane], who, counts[lane])
+        _keep_sample(sample, lane, active[lane] > 0.0, m)
+
+
+@device
+def _keep_sample(sample: Any, lane: Any, on: bool, m: Measured) -> None:
+    _keep_vector(sample, 0, lane, on, m.p)
+    _keep_vector(sample, 3, lane, on, m.v)
+    _keep_vector(sample, 6, lane, on, m.a)
+    _keep(sample, 9, lane, on, m.q[0])
+    _keep(sample, 10, lane, on, m.q[1])
+    _keep(sample, 11, lane, on, m.q[2])
+    _keep(sample, 12, lane, on, m.q[3])
+    _keep_vector(sample, 13, lane, on, m.w)
 
 
 @device

@@ -68,8 +68,8 @@ class State(NamedTuple):
     begins: Floats  # (T, 3, L): the leader's first reference point
     tables: Floats  # (W or 1, T): the leader's trajectory
     counters: NDArray[np.int64]  # (W, 6)
-    keys: NDArray[np.uint64]  # (W,): of the streams
-    episode_keys: NDArray[np.uint64]  # (W,): of the episodes
+    keys: NDArray[np.uint64]  # (T L,): of the streams
+    episode_keys: NDArray[np.uint64]  # (T L,): of the episodes
 
 
 class Constants(NamedTuple):
@@ -129,7 +129,7 @@ class Memory(NamedTuple):
 
     floats: Floats  # State's, one after the other
     counters: NDArray[np.int64]  # (W, 6)
-    keys: NDArray[np.uint64]  # (2, W)
+    keys: NDArray[np.uint64]  # (2, T L)
     constants: Floats  # Constants', one after the other
     bound: NDArray[np.float32]
     sizes: NDArray[np.int64]  # Sizes
@@ -179,7 +179,7 @@ def allocate(config: FormationConfig, worlds: int, max_steps: int, references: F
     memory = Memory(
         np.zeros(floats),
         np.zeros((worlds, 6), dtype=np.int64),
-        np.zeros((2, worlds), dtype=np.uint64),
+        np.zeros((2, sizes.tiles * LANES), dtype=np.uint64),
         np.concatenate([np.ravel(x) for x in fixed]).astype(np.float64),
         config.layout.bound,
         np.array(sizes, dtype=np.int64),

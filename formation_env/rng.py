@@ -10,12 +10,13 @@ Source: J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, "Parallel random num
 
 from __future__ import annotations
 
-from math import cos, log, pi, sin, sqrt
+from math import sqrt
 from typing import Any
 
 import numpy as np
 
 from formation_env._jit import device
+from formation_env.elementary import log_of_unit, sin_cos_of_turn
 
 Four = tuple[float, float, float, float]
 
@@ -67,6 +68,7 @@ def uniforms(key: int, purpose: int, who: int, when: int, block: int) -> Four:
 def normals(key: int, purpose: int, who: int, when: int, block: int) -> Four:
     """Four standard normal numbers (Box-Muller on `uniforms`)."""
     a, b, c, d = uniforms(key, purpose, who, when, block)
-    r, s = sqrt(-2.0 * log(a)), sqrt(-2.0 * log(b))
-    x, y = 2.0 * pi * c, 2.0 * pi * d
-    return (r * cos(x), r * sin(x), s * cos(y), s * sin(y))
+    r, s = sqrt(-2.0 * log_of_unit(a)), sqrt(-2.0 * log_of_unit(b))
+    sin_x, cos_x = sin_cos_of_turn(c)
+    sin_y, cos_y = sin_cos_of_turn(d)
+    return (r * cos_x, r * sin_x, s * cos_y, s * sin_y)

@@ -15,8 +15,18 @@ from math import atan2, sqrt
 from typing import NamedTuple
 
 from formation_env._jit import device
+from formation_env.elementary import sin_cos
 from formation_env.rng import MEASUREMENT, normals
-from formation_env.so3 import Quaternion, Vector, exponential, multiply, normalise, scale, sub
+from formation_env.so3 import (
+    Quaternion,
+    Vector,
+    multiply,
+    norm,
+    normalise,
+    pick,
+    scale,
+    sub,
+)
 
 
 class Noise(NamedTuple):
@@ -57,16 +67,24 @@ def _perturb(a: Vector, deviation: float, x: float, y: float, z: float) -> Vecto
 
 
 @device
+def rotation_noise(a: Vector) -> Quaternion:
+    """`so3.exponential` of the rotation vector `a`, without a branch."""
+    angle = norm(a)
+    sine, cosine = sin_cos(0.5 * angle)
+    tiny = angle < 1e-9
+    s = pick(tiny, 0.5, sine / pick(tiny, 1.0, angle))
+    return (cosine, s * a[0], s * a[1], s * a[2])
+
+
+@device
 def corrupt(truth: Measured, noise: Noise, key: int, who: int, when: int) -> Measured:
     """The truth with white Gaussian noise; `who` is the vehicle, `when` the number of the sample."""
-    if silent(noise):
-        return truth
     n0 = normals(key, MEASUREMENT, who, when, 0)
     n1 = normals(key, MEASUREMENT, who, when, 1)
     n2 = normals(key, MEASUREMENT, who, when, 2)
     n3 = normals(key, MEASUREMENT, who, when, 3)
     s = noise.attitude
-    turn = exponential((s * n2[1], s * n2[2], s * n2[3]))
+    turn = rotation_noise((s * n2[1], s * n2[2], s * n2[3]))
     return Measured(
         _perturb(truth.p, noise.position, n0[0], n0[1], n0[2]),
         _perturb(truth.v, noise.velocity, n0[3], n1[0], n1[1]),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from functools import partial
 from typing import Any
 
@@ -12,7 +14,7 @@ from episodes import arrays, same, wild
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.wrappers.vector import NormalizeObservation, RecordEpisodeStatistics
 
-from formation_env import Limits, simulation
+from formation_env import Limits, kernels, simulation
 from formation_env.vector import FormationVectorEnv
 
 ID = "formation_env:Formation-v0"
@@ -204,3 +206,34 @@ def test_a_vector_of_worlds_continues_from_a_saved_state() -> None:
     for actions in wild(30, 3, 8, seed=3):
         agree(fresh.step(actions), envs.step(actions))
     agree(fresh.reset(), envs.reset())
+
+
+def test_another_memory_layout_is_not_compiled_for() -> None:
+    """A read-only or strided array of actions would be another type: it is copied instead."""
+    envs = FormationVectorEnv(3)
+    envs.reset(seed=0)
+    actions = np.zeros((3, 8), np.float32)
+    actions.setflags(write=False)
+    envs.step(actions)
+    envs.step(np.zeros((3, 16), np.float32)[:, ::2])
+    envs.step(np.asfortranarray(np.zeros((3, 8), np.float32)))
+    assert len(getattr(kernels.advance, "signatures", [0])) == 1
+
+
+def test_the_loops_over_lanes_are_vector_code() -> None:
+    """Packed arithmetic in the machine code, compiled anew (a kernel from the cache has no listing)."""
+    program = (
+        "import sys, numpy as np\n"
+        "from formation_env import configure, lanes, memory\n"
+        "c = configure('paper')\n"
+        "flat = memory.flatten(memory.Settings(c.world, c.reward, c.limits))\n"
+        "frame = memory.plain(memory.unpack)(np.array(flat)).world.airframe\n"
+        "x, command, touch = np.ones(256), np.ones(64), np.ones(48)\n"
+        "lanes.fly_by_moment(x, command, touch, np.ones(16), 0.005, frame)\n"
+        "code = next(iter(lanes.fly_by_moment.inspect_asm().values()))\n"
+        "print(code.count('mulpd') + code.count('.2d'))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=300
+    )
+    assert int(done.stdout) > 50  # none at all where the compiler gave up

@@ -294,6 +294,7 @@ def test_only_masked_worlds_are_touched() -> None:
         old, new = array, after[name]
         if len(array) == 1:  # one tile of worlds side by side, the world in the last place
             old, new = memory.by_world(array, 5), memory.by_world(after[name], 5)
+        old, new = old[:5], new[:5]  # lanes without a world behind
         np.testing.assert_array_equal(new[~mask], old[~mask])
     assert (after["counters"][mask, memory.TICK] == 0).all()
     assert (after["counters"][~mask, memory.TICK] == 7).all()
