@@ -211,22 +211,20 @@ def _plain(s: World) -> bool:
 
 @device
 def _receive(state: State, t: int, room: Scratch) -> None:
-    """Fetch the measurements that have arrived in all worlds of tile `t`, where they arrive late."""
+    """Fetch the measurements that have arrived in all worlds of tile `t`.
+
+    Copied even where they could be used in place: two kinds of view cost more than the copy.
+    """
     worlds, delays = len(state.counters), state.samples.shape[2]
-    if delays > 1:
-        for i in range(state.samples.shape[1]):
+    counters, samples, seen = state.counters, state.samples, room.seen
+    for i in range(samples.shape[1]):
+        if delays == 1:
+            seen[i] = samples[t, i, 0].reshape(16 * LANES)
+        else:
             for lane in range(min(LANES, worlds - t * LANES)):
-                at = (state.counters[t * LANES + lane, SAMPLES] + 1) % delays
+                at = (counters[t * LANES + lane, SAMPLES] + 1) % delays
                 for k in range(16):
-                    room.seen[i, k * LANES + lane] = state.samples[t, i, at, k, lane]
-
-
-@device
-def _seen(state: State, t: int, i: int, room: Scratch) -> Any:
-    """The measurements of vehicle `i` in hand, in all worlds of tile `t`."""
-    if state.samples.shape[2] == 1:
-        return state.samples[t, i, 0].reshape(16 * LANES)
-    return room.seen[i]
+                    seen[i, k * LANES + lane] = samples[t, i, at, k, lane]
 
 
 # -- reset ----------------------------------------------------------------------------------------
@@ -346,7 +344,7 @@ def _prepare(
     """
     counters, active, moving, refs = state.counters, room.active, room.moving, room.refs
     table, executed, before = c.references, room.actions, room.before
-    seen = _seen(state, t, 0, room)
+    seen = room.seen[0]
     vehicles, seen_before = state.vehicles, state.seen
     flying = waiting = False
     for lane in range(LANES):
@@ -386,9 +384,9 @@ def _prepare(
 def _command(state: State, t: int, room: Scratch, s: World) -> None:
     """The commands of all vehicles of tile `t`."""
     if s.leader_actuation == MOMENT:
-        lead_by_moment(_seen(state, t, 0, room), room.refs, room.commands[0], s)
+        lead_by_moment(room.seen[0], room.refs, room.commands[0], s)
     else:
-        lead_by_rates(_seen(state, t, 0, room), room.refs, room.commands[0], s)
+        lead_by_rates(room.seen[0], room.refs, room.commands[0], s)
     for i in range(len(room.actions)):
         action, command = room.actions[i], room.commands[i + 1]
         if s.level == WRENCH:
@@ -458,7 +456,7 @@ def _count(state: State, c: Constants, t: int, room: Scratch, s: World) -> None:
             counters[w, SAMPLES] = tick * s.clock.substeps // s.clock.sample_every
     _receive(state, t, room)
     leader = state.vehicles[t, 0].reshape(16 * LANES)
-    seen_before, seen = state.seen[t].reshape(2 * LANES), _seen(state, t, 0, room)
+    seen_before, seen = state.seen[t].reshape(2 * LANES), room.seen[0]
     for i in range(len(c.offsets)):
         x = state.followers[t, i].reshape(14 * LANES)
         d_x, h = c.offsets[i, 0], s.clock.period
@@ -535,8 +533,8 @@ def _look(state: State, c: Constants, t: int, room: Scratch, r: Results, s: Worl
     for i in range(len(c.offsets)):
         x = state.followers[t, i].reshape(14 * LANES)
         d = load(c.offsets[i], 0)
-        own = _seen(state, t, i + 1, room)
-        see(x, own, _seen(state, t, 0, room), begin, room.started, d, room.row)
+        own = room.seen[i + 1]
+        see(x, own, room.seen[0], begin, room.started, d, room.row)
         clip_into(room.row, 0, CORE, c.bound, 0, room.rows)
         k = CORE
         if s.level == REFERENCE:
@@ -548,7 +546,7 @@ def _look(state: State, c: Constants, t: int, room: Scratch, r: Results, s: Worl
             forget(best)
             for j in range(len(c.offsets)):
                 if j != i:
-                    consider(x, own, _seen(state, t, j + 1, room), float(j), room.found[m], best)
+                    consider(x, own, room.seen[j + 1], float(j), room.found[m], best)
             clip_into(best, 2, 7, c.bound, k, room.rows)
             k += 7
         for lane in range(here):
