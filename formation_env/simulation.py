@@ -1,4 +1,5 @@
-"""Many worlds: arrays, the loop over them, reset and seeding. The only module that knows the layout.
+"""Many worlds: threads, reset, seeding, saving. With `kernels`, `lanes`, `looking` and `memory` it is
+the layer that knows the layout.
 
 Every face steps worlds through the one compiled kernel `advance`, and threads call that same
 machine code on disjoint ranges of worlds. A world's numbers depend on its key, its actions and
