@@ -1,5 +1,6 @@
-"""Many worlds: threads, reset, seeding, saving. With `kernels`, `lanes`, `looking` and `memory` it is
-the layer that knows the layout.
+"""Many worlds: threads, reset, seeding, saving.
+
+With `kernels`, `lanes`, `looking` and `memory` it is the layer that knows the layout.
 
 Every face steps worlds through the one compiled kernel `advance`, and threads call that same
 machine code on disjoint ranges of worlds. A world's numbers depend on its key, its actions and
