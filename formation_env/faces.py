@@ -10,7 +10,6 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from formation_env.memory import ERROR, FAILED, SEPARATION, SLOT, TERMS
-from formation_env.task import Terms
 
 if TYPE_CHECKING:
     from formation_env.config import FormationConfig
@@ -18,6 +17,14 @@ if TYPE_CHECKING:
     from formation_env.simulation import Simulation
 
 RENDER_MODES = ("human", "rgb_array")
+
+# Made once: a step takes some ten views, and building each one's index and dtype anew would cost half
+# as much again as taking it.
+FLOAT = np.dtype(np.float32)
+_INTEGER = np.dtype(np.int64)
+_SLOTS, _ERRORS = (..., slice(SLOT, SLOT + 3)), (..., slice(ERROR, ERROR + 3))
+_SEPARATION, _FAILED = (..., SEPARATION), (..., FAILED)
+_FORMATION, _EFFORT, _SMOOTHNESS, _FAILURE = ((..., TERMS + k) for k in range(4))
 
 
 def observation_space(config: FormationConfig, rows: int) -> Any:
@@ -36,7 +43,7 @@ def read_action(action: Any, shape: tuple[int, ...], name: str = "action") -> ND
 
     Raises `ValueError` if it is of another shape, or not numbers.
     """
-    if type(action) is np.ndarray and action.dtype == np.float32 and action.shape == shape:
+    if type(action) is np.ndarray and action.dtype is FLOAT and action.shape == shape:
         return action  # as nearly always: nothing to check, and the kernels only read
     array = np.asarray(action)
     if array.dtype.kind not in "fiu":
@@ -57,11 +64,16 @@ def describe(outputs: NDArray[np.float64]) -> dict[str, Any]:
     `reward_terms`, each with the leading shape of `outputs`.
     """
     return {
-        "slots": outputs[..., SLOT : SLOT + 3],
-        "slot_error": outputs[..., ERROR : ERROR + 3],
-        "separation": outputs[..., SEPARATION],
-        "failure": outputs[..., FAILED].astype(np.int64),
-        "reward_terms": {name: outputs[..., TERMS + k] for k, name in enumerate(Terms._fields)},
+        "slots": outputs[_SLOTS],
+        "slot_error": outputs[_ERRORS],
+        "separation": outputs[_SEPARATION],
+        "failure": outputs[_FAILED].astype(_INTEGER),
+        "reward_terms": {
+            "formation": outputs[_FORMATION],
+            "effort": outputs[_EFFORT],
+            "smoothness": outputs[_SMOOTHNESS],
+            "failure": outputs[_FAILURE],
+        },
     }
 
 
