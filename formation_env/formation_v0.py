@@ -14,7 +14,7 @@ from pettingzoo.utils import parallel_to_aec, wrappers
 from formation_env import faces
 from formation_env.checks import integer
 from formation_env.config import FormationConfig
-from formation_env.memory import ERROR, FAILED, SEPARATION, SLOT, TERMS
+from formation_env.memory import ERROR, FAILED, REWARD, SEPARATION, SLOT, TERMS, Results
 from formation_env.scenarios import configure
 from formation_env.simulation import Simulation, Snapshot, seeded_key
 
@@ -62,6 +62,15 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
         )
         self.action_spaces: dict[str, spaces.Box] = dict.fromkeys(self.possible_agents, action)
         self.state_space = _state_space(n)
+        # Each agent and the indices of what is its own, in arrays `(1, followers, ...)`: made once,
+        # because a step spends more on finding its numbers than on reading them.
+        self._places = [
+            (agent, (0, i), (0, i, slice(SLOT, SLOT + 3)), (0, i, slice(ERROR, ERROR + 3)))
+            for i, agent in enumerate(self.possible_agents)
+        ]
+        self._everyone = frozenset(self.possible_agents)
+        self._shape = (self.config.action_size,)
+        self._actions = np.zeros((1, n, *self._shape), dtype=np.float32)
         self._simulation = Simulation(self.config)
         if max_cycles is not None:
             self.max_cycles = max_cycles
@@ -94,7 +103,8 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
         results = self._simulation.reset()
         self.agents = list(self.possible_agents)
         self._screen.begin(self._simulation)
-        return self._by_agent(results.observations[0]), self._infos(results.outputs[0])
+        observations, _, infos = self._by_agent(results)
+        return observations, infos
 
     def step(
         self, actions: dict[str, Array]
@@ -110,50 +120,65 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
             raise ResetNeeded("the episode is over or has not begun: call reset() before step()")
         results = self._simulation.step(self._read(actions))
         agents = self.agents
-        outputs = results.outputs[0]
-        ended, late = bool(results.terminated[0]), bool(results.truncated[0])
+        ended, late = results.terminated.item(), results.truncated.item()
         if ended or late:
             self.agents = []
-        self._screen.follow(self._simulation)
+        if self._screen.mode is not None:
+            self._screen.follow(self._simulation)
+        observations, rewards, infos = self._by_agent(results)
         return (
-            self._by_agent(results.observations[0]),
-            dict(zip(agents, outputs[:, 0].tolist(), strict=True)),
+            observations,
+            rewards,
             dict.fromkeys(agents, ended),
             dict.fromkeys(agents, late),
-            self._infos(outputs),
+            infos,
         )
 
     def _read(self, actions: dict[str, Array]) -> Array:
-        if not isinstance(actions, dict) or actions.keys() != set(self.agents):
+        """The actions in the agents' order, in memory that the next call writes again."""
+        if not isinstance(actions, dict) or actions.keys() != self._everyone:
             found = list(actions) if isinstance(actions, dict) else type(actions).__name__
             raise ValueError(f"actions for {found}: expected one for each of {self.agents}")
-        shape = (self.config.action_size,)
-        rows = np.empty((1, len(self.agents), *shape), dtype=np.float32)
-        for i, agent in enumerate(self.agents):
-            rows[0, i] = faces.read_action(actions[agent], shape, f"action of {agent}")
+        rows, shape = self._actions, self._shape
+        for agent, own, _, _ in self._places:
+            action = actions[agent]
+            # The common case of `read_action` once more: the call costs as much as the copy.
+            if (
+                type(action) is not np.ndarray
+                or action.dtype is not faces.FLOAT
+                or action.shape != shape
+            ):
+                action = faces.read_action(action, shape, f"action of {agent}")
+            rows[own] = action
         return rows
 
-    def _by_agent(self, rows: Array) -> dict[str, Array]:
-        return dict(zip(self.possible_agents, rows, strict=True))
-
-    def _infos(self, outputs: NDArray[np.float64]) -> dict[str, dict[str, Any]]:
+    def _by_agent(
+        self, results: Results
+    ) -> tuple[dict[str, Array], dict[str, float], dict[str, dict[str, Any]]]:
+        """Observations, rewards and infos."""
+        observations: dict[str, Array] = {}
+        rewards: dict[str, float] = {}
+        infos: dict[str, dict[str, Any]] = {}
+        seen, outputs = results.observations, results.outputs
         # One conversion for all: a NumPy scalar each would cost more than the simulation.
-        return {
-            agent: {
-                "slot": slot,
-                "slot_error": error,
+        numbers = iter(outputs.tolist()[0])
+        for agent, own, slot, error in self._places:
+            row = next(numbers)
+            observations[agent] = seen[own]
+            rewards[agent] = row[REWARD]
+            infos[agent] = {
+                "slot": outputs[slot],
+                "slot_error": outputs[error],
                 "separation": row[SEPARATION],
                 "failure": int(row[FAILED]),
-                "reward_terms": dict(zip(_TERMS, row[TERMS : TERMS + 4], strict=True)),
+                "reward_terms": {
+                    "formation": row[TERMS],
+                    "effort": row[TERMS + 1],
+                    "smoothness": row[TERMS + 2],
+                    "failure": row[TERMS + 3],
+                },
             }
-            for agent, row, slot, error in zip(
-                self.possible_agents,
-                outputs.tolist(),
-                outputs[:, SLOT : SLOT + 3],
-                outputs[:, ERROR : ERROR + 3],
-                strict=True,
-            )
-        }
+        return observations, rewards, infos
 
     def state(self) -> Array:
         """The truth, float32: per vehicle, leader first, `p, v, q, omega` (13); per follower its slot
@@ -194,9 +219,6 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
         self._simulation.set_state(state)
         self._seeded = bool(self._simulation.seeded[0])
         self.agents = [] if self._simulation.over[0] else list(self.possible_agents)
-
-
-_TERMS = ("formation", "effort", "smoothness", "failure")
 
 
 def _state_space(n: int) -> spaces.Box:

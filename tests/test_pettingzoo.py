@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pettingzoo
 import pytest
-from episodes import SCENARIOS, arrays, same, wild
+from episodes import SCENARIOS, arrays, gentle, same, wild
 from pettingzoo.test import (
     api_test,
     max_cycles_test,
@@ -20,7 +20,9 @@ from pettingzoo.test import (
 )
 
 from formation_env import formation_v0, trajectories
+from formation_env.env import FormationEnv
 from formation_env.formation_v0 import FormationParallelEnv
+from formation_env.task import Terms
 
 needs_pygame = pytest.mark.skipif(
     importlib.util.find_spec("pygame") is None, reason="drawing needs pygame"
@@ -108,6 +110,33 @@ def test_state_is_the_truth(scenario: str) -> None:
         assert state[-1] == (env.config.start == "formation")
         _, _, ended, _, infos = env.step(acts(env, row))
         if any(ended.values()):
+            break
+
+
+def test_an_agent_may_act_in_any_form_and_order() -> None:
+    """Lists, other dtypes and layouts mean the same numbers; the arrays given are left as they are."""
+    one, two = formation_v0.parallel_env(followers=3), formation_v0.parallel_env(followers=3)
+    one.reset(seed=5), two.reset(seed=5)
+    for row in np.round(64.0 * gentle(20, 12).reshape(20, 3, 4)) / 64.0:
+        plain = acts(two, row.astype(np.float32))
+        spaced = np.repeat(row[2], 2).astype(np.float32)[::2]
+        mixed = {"follower_2": spaced, "follower_0": row[0].tolist(), "follower_1": row[1]}
+        kept = {agent: np.copy(action) for agent, action in plain.items()}
+        assert same(one.step(mixed), two.step(plain))
+        assert same(plain, kept)
+
+
+def test_reward_terms_are_those_of_the_gymnasium_face() -> None:
+    single, parallel = FormationEnv("swarm"), formation_v0.parallel_env(scenario="swarm")
+    single.reset(seed=6), parallel.reset(seed=6)
+    for row in wild(20, *shape(parallel)):
+        terms = single.step(row.reshape(-1))[4]["reward_terms"]
+        infos = parallel.step(acts(parallel, row))[4]
+        for i, agent in enumerate(parallel.possible_agents):
+            own = infos[agent]["reward_terms"]
+            assert tuple(own) == tuple(terms) == Terms._fields
+            assert own == {name: values[i] for name, values in terms.items()}
+        if not parallel.agents:
             break
 
 
