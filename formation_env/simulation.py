@@ -81,7 +81,7 @@ class Simulation:
         self, actions: NDArray[np.float32], mode: int = kernels.STEP, mask: Any = None
     ) -> Results:
         """One control tick in the worlds of `mask`. `mode` says what happens to ended episodes."""
-        if not (actions.flags.c_contiguous and actions.flags.writeable):
+        if not actions.flags.carray:
             # Another layout or a read-only array would be another type, compiled for anew.
             actions = np.array(actions, order="C")
         bad = kernels.first_bad_action(actions)
@@ -109,8 +109,10 @@ class Simulation:
         arguments: tuple[Any, ...] = (mode, actions, mask, *self._memory, *arrays)
         advance: Any = kernels.advance
         tiles = len(self._state.vehicles)
-        vehicles = self.num_worlds * (self.config.followers + 1)
-        threads = min(self.threads, tiles, 1 + vehicles // _VEHICLES_PER_THREAD)
+        threads = self.threads
+        if threads > 1:
+            vehicles = self.num_worlds * (self.config.followers + 1)
+            threads = min(threads, tiles, 1 + vehicles // _VEHICLES_PER_THREAD)
         if threads == 1:
             advance(0, tiles, *arguments, self._rooms[0])
             return results
