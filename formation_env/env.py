@@ -171,12 +171,13 @@ class FormationEnv(gym.Env[Observation, NDArray[np.float32]]):
         results = self._simulation.step(actions)
         if self._screen.mode is not None:
             self._screen.follow(self._simulation)
-        # `ravel` of fresh memory is a view, and `item` a Python number: half the cost of indexing.
+        (reward,), (terminated,), (truncated,) = results.ends.tolist()
+        # `ravel` of fresh memory is a view.
         return (
             results.observations.ravel(),
-            results.rewards.item(),
-            results.terminated.item(),
-            results.truncated.item(),
+            reward,
+            terminated != 0.0,
+            truncated != 0.0,
             faces.describe(results.outputs[0]),
         )
 

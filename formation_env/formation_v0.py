@@ -120,7 +120,8 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
             raise ResetNeeded("the episode is over or has not begun: call reset() before step()")
         results = self._simulation.step(self._read(actions))
         agents = self.agents
-        ended, late = results.terminated.item(), results.truncated.item()
+        _, (terminated,), (truncated,) = results.ends.tolist()
+        ended, late = terminated != 0.0, truncated != 0.0
         if ended or late:
             self.agents = []
         if self._screen.mode is not None:

@@ -11,49 +11,58 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formation_env._jit import device, kernel
+from formation_env.blocks import LANES, carve, gather, scatter
 from formation_env.lanes import (
     approach,
-    clip_into,
-    consider,
+    clear_touch,
+    copy,
+    count_finite,
+    doubtful,
     drive_by_moment,
     drive_by_rates,
     fly_by_moment,
     fly_by_rates,
     forget,
+    insert,
     judge,
+    land,
     lead_by_moment,
     lead_by_rates,
     locate,
+    measure,
+    restore,
     see,
     see_guide,
+    see_neighbour,
     sense,
     sense_exactly,
+    separate,
     turn_headings,
 )
-from formation_env.looking import begin_of, slot_of
 from formation_env.memory import (
     CLOCK,
     EPISODE,
+    ERROR_SQUARED,
     ESTIMATE,
     FAILED,
     GUIDE_P,
     GUIDE_V,
     HEADING,
-    LANES,
     OUTPUTS,
     OVER,
     PREVIOUS,
+    REFERENCE_ROW,
     SAMPLES,
-    SEPARATION,
-    SLOT,
     STARTED,
     TERMS,
     TICK,
     Constants,
     Floats,
     Results,
+    Scratch,
     Settings,
     State,
+    begin_of,
     episode_key,
     follower,
     latest,
@@ -62,12 +71,13 @@ from formation_env.memory import (
     load_guide,
     load_sample,
     open_constants,
-    open_results,
+    open_scratch,
     open_state,
     put,
     put_body,
     put_sample,
     ring,
+    size_numbers,
     table_row,
     unpack,
     vehicle,
@@ -81,9 +91,10 @@ from formation_env.sensors import (
     difference,
     silent,
 )
+from formation_env.slots import slot
 from formation_env.so3 import Vector
-from formation_env.task import CORE, NO_FAILURE
-from formation_env.trajectories import draw, evaluate, start_direction
+from formation_env.task import CORE, GUIDE, NEIGHBOUR
+from formation_env.trajectories import Reference, draw, evaluate, start_direction
 from formation_env.world import (
     RATE,
     REFERENCE,
@@ -103,57 +114,13 @@ from formation_env.world import (
 )
 
 
-class Scratch(NamedTuple):
-    """Room to work on one tile of L lanes, for n followers."""
+class Task(NamedTuple):
+    """Whole numbers that say what is asked for."""
 
-    active: Floats  # (L,): 1 for worlds that step, else 0
-    moving: Floats  # (L,): 1 for those whose trigger had fired before the tick
-    started: Floats  # (L,): 1 for those whose trigger has fired
-    before: Floats  # (2 L): the leader's planar velocity before the tick, m/s
-    refs: Floats  # (15 L): the leader's reference
-    seen: Floats  # (n+1, 16 L): the measurements in hand
-    actions: Floats  # (n, 4 L): as executed
-    commands: Floats  # (n+1, 4 L): thrust and turn of each vehicle
-    touches: Floats  # (n+1, 3 L): speed, uprightness of the hardest touch-down; touching now
-    where: Floats  # (n, 8 L): slot, slot error, squares of error and separation
-    verdicts: Floats  # (n, 6 L): reward, its terms, kind of failure
-    row: Floats  # (34 L): an observation, without guide and neighbours
-    found: Floats  # (K+1, 9 L): the nearest neighbours, after one nearer than all
-    rows: Floats  # (entries L): an observation, clipped
-
-
-@device
-def _scratch(room: Floats, c: Constants) -> Scratch:
-    """`Scratch` in flat memory, whose length is `memory.room_size`."""
-    n, K = len(c.offsets), c.neighbours + 1
-    a = 3 + 2 + 15
-    b = a + 16 * (n + 1)
-    d = b + 4 * n
-    e = d + 4 * (n + 1)
-    f = e + 3 * (n + 1)
-    g = f + 8 * n
-    h = g + 6 * n
-    i = h + CORE
-    j = i + 9 * K
-    L = LANES
-    found = room[i * L : j * L].reshape(K, 9 * L)
-    found[0, : 2 * L] = -1.0
-    return Scratch(
-        room[:L],
-        room[L : 2 * L],
-        room[2 * L : 3 * L],
-        room[3 * L : 5 * L],
-        room[5 * L : a * L],
-        room[a * L : b * L].reshape(n + 1, 16 * L),
-        room[b * L : d * L].reshape(n, 4 * L),
-        room[d * L : e * L].reshape(n + 1, 4 * L),
-        room[e * L : f * L].reshape(n + 1, 3 * L),
-        room[f * L : g * L].reshape(n, 8 * L),
-        room[g * L : h * L].reshape(n, 6 * L),
-        room[h * L : i * L],
-        found,
-        room[j * L :],
-    )
+    trajectory_kind: int
+    neighbours: int
+    action_size: int
+    max_steps: int
 
 
 # Modes of `advance`: what to do with each world.
@@ -211,20 +178,16 @@ def _plain(s: World) -> bool:
 
 @device
 def _receive(state: State, t: int, room: Scratch) -> None:
-    """Fetch the measurements that have arrived in all worlds of tile `t`.
-
-    Copied even where they could be used in place: two kinds of view cost more than the copy.
-    """
-    worlds, delays = len(state.counters), state.samples.shape[2]
-    counters, samples, seen = state.counters, state.samples, room.seen
+    """Fetch the measurements that have arrived in all worlds of tile `t`, if they are late."""
+    samples, seen, counters = state.samples, room.seen, state.counters
+    delays = samples.shape[2]
+    if delays == 1:
+        return
     for i in range(samples.shape[1]):
-        if delays == 1:
-            seen[i] = samples[t, i, 0].reshape(16 * LANES)
-        else:
-            for lane in range(min(LANES, worlds - t * LANES)):
-                at = (counters[t * LANES + lane, SAMPLES] + 1) % delays
-                for k in range(16):
-                    seen[i, k * LANES + lane] = samples[t, i, at, k, lane]
+        for lane in range(min(LANES, len(counters) - t * LANES)):
+            at = (counters[t * LANES + lane, SAMPLES] + 1) % delays
+            for k in range(16):
+                seen[0, i, k * LANES + lane] = samples[t, i, at, k * LANES + lane]
 
 
 # -- reset ----------------------------------------------------------------------------------------
@@ -248,7 +211,17 @@ def _place(state: State, w: int, i: int, body: Body, a: Vector, key: Any, s: Wor
 
 
 @device
-def _reset(state: State, c: Constants, w: int, out: Any, s: Settings) -> None:
+def _start_of(state: State, w: int, R: complex, d: Vector, s: World) -> Any:
+    """Where a follower with offset `d` should be: behind the leader or, on the ground, behind (40)'s
+    reference point."""
+    if s.on_ground:
+        return slot(R, begin_of(state, w), (0.0, 0.0, 0.0), d)
+    leader = vehicle(state, w, 0)
+    return slot(R, load(leader, 0), load(leader, 3), d)
+
+
+@device
+def _reset(state: State, c: Constants, w: int, room: Scratch, task: Task, s: Settings) -> None:
     """Start the next episode of world `w`."""
     counters = state.counters[w]
     counters[EPISODE] += 1
@@ -259,10 +232,10 @@ def _reset(state: State, c: Constants, w: int, out: Any, s: Settings) -> None:
     table = table_row(state.tables, w)
     if len(c.drawing) > 0:
         draw(key, c.drawing, table)
-    begin = evaluate(c.trajectory_kind, table, 0.0)
-    R = start_direction(c.trajectory_kind, table)
+    begin = evaluate(task.trajectory_kind, table, 0.0)
+    R = start_direction(task.trajectory_kind, table)
     for k in range(3):
-        state.begins[w // LANES, k, w % LANES] = begin.p[k]
+        state.begins[w // LANES, k * LANES + w % LANES] = begin.p[k]
 
     still = (0.0, 0.0, 0.0)
     if s.world.on_ground:
@@ -270,15 +243,15 @@ def _reset(state: State, c: Constants, w: int, out: Any, s: Settings) -> None:
     else:
         _place(state, w, 0, trimmed(begin, s.world), begin.a, key, s.world)
     seen = latest(state, w, 0).v
-    state.seen[w // LANES, 0, w % LANES] = seen[0]
-    state.seen[w // LANES, 1, w % LANES] = seen[1]
+    state.seen[w // LANES, w % LANES] = seen[0]
+    state.seen[w // LANES, LANES + w % LANES] = seen[1]
     for i in range(len(c.offsets)):
         x = follower(state, w, i)
         x[HEADING], x[HEADING + 1] = R.real, R.imag
         x[ESTIMATE], x[ESTIMATE + 1] = R.real, R.imag
         for k in range(4):
             x[PREVIOUS + k] = 0.0
-        target = slot_of(state, c, w, i)
+        target = _start_of(state, w, R, load(c.offsets[i], 0), s.world)
         put(x, GUIDE_P, target.p)
         put(x, GUIDE_V, target.v)
         if s.world.on_ground:
@@ -286,22 +259,12 @@ def _reset(state: State, c: Constants, w: int, out: Any, s: Settings) -> None:
         else:
             body = near(target, key, i + 1, s.world)
         _place(state, w, i + 1, body, still, key, s.world)
-        for k in range(len(OUTPUTS)):
-            out[i, k] = 0.0
+        for k in range(TERMS + 4):
+            room.outcomes[i, k * LANES + w % LANES] = 0.0
+        room.outcomes[i, FAILED * LANES + w % LANES] = 0.0
 
 
 # -- step -------------------------------------------------------------------------------------------
-
-
-@device
-def _triggered(state: State, c: Constants, w: int, s: World) -> bool:
-    """The trigger (40), on true positions: every vehicle is near where it should start from."""
-    ready = within(load(vehicle(state, w, 0), 0), begin_of(state, w), s.trigger)
-    for i in range(len(c.offsets)):
-        target = slot_of(state, c, w, i)
-        p = load(vehicle(state, w, i + 1), 0)
-        ready = ready and within(p, target.p, s.trigger)
-    return ready
 
 
 @device
@@ -318,62 +281,51 @@ def _guide(state: State, w: int, i: int, a: Action, s: World) -> Wrench:
 
 
 @device
-def _refer(state: State, c: Constants, w: int, refs: Floats, s: World) -> None:
+def put_reference(x: Any, ref: Reference) -> None:
+    put(x, 0, ref.p)
+    put(x, 3, ref.v)
+    put(x, 6, ref.a)
+    put(x, 9, ref.j)
+    put(x, 12, ref.s)
+
+
+@device
+def _refer(state: State, w: int, line: Any, kind: int, s: World) -> None:
     """The leader's reference now, where it is not in the table: waiting, or on a path of its own."""
-    lane = w % LANES
     ref = hold_at(begin_of(state, w))
     if state.counters[w, STARTED] != 0:
         clock = state.counters[w, CLOCK] * s.clock.period
-        ref = evaluate(c.trajectory_kind, table_row(state.tables, w), clock)
-    for k in range(3):
-        refs[k * LANES + lane] = ref.p[k]
-        refs[(3 + k) * LANES + lane] = ref.v[k]
-        refs[(6 + k) * LANES + lane] = ref.a[k]
-        refs[(9 + k) * LANES + lane] = ref.j[k]
-        refs[(12 + k) * LANES + lane] = ref.s[k]
+        ref = evaluate(kind, table_row(state.tables, w), clock)
+    put_reference(line, ref)
 
 
 @device
 def _prepare(
-    state: State, c: Constants, t: int, actions: Any, mask: Any, mode: int, room: Scratch, s: World
-) -> tuple[bool, bool]:
-    """Find out which worlds of tile `t` step, and fetch what they bring: references, actions, gusts.
+    state: State, t: int, actions: Any, mask: Any, mode: int, room: Scratch, s: World
+) -> tuple[int, bool]:
+    """Find out which worlds of tile `t` step, and fetch their actions and gusts.
 
-    Returns whether any world steps and whether any is to be reset first. Arrays are taken out of
-    their tuples once: each time counts a reference, which costs as much as the work itself.
+    Returns how many step and whether any is to be reset first.
     """
-    counters, active, moving, refs = state.counters, room.active, room.moving, room.refs
-    table, executed, before = c.references, room.actions, room.before
-    seen = room.seen[0]
-    vehicles, seen_before = state.vehicles, state.seen
-    flying = waiting = False
+    counters, executed = state.counters, room.actions
+    flying, waiting = 0, False
     for lane in range(LANES):
-        active[lane] = moving[lane] = 0.0
+        room.active[lane] = room.moving[lane] = 0.0
         w = t * LANES + lane
         if w >= len(counters) or not mask[w]:
             continue
         if mode == RESET or (mode == STEP_OR_RESET and counters[w, OVER] != 0):
             waiting = True
             continue
-        flying = True
-        active[lane] = 1.0
-        started = counters[w, STARTED] != 0
-        moving[lane] = 1.0 if started else 0.0
-        if started and len(table) > 0:
-            clock = counters[w, CLOCK]
-            for k in range(15):
-                refs[k * LANES + lane] = table[clock, k]
-        else:
-            _refer(state, c, w, refs, s)
-        for k in range(2):
-            before[k * LANES + lane] = vehicles[t, 0, 3 + k, lane]
-            seen_before[t, k, lane] = seen[(3 + k) * LANES + lane]
+        flying += 1
+        room.active[lane] = 1.0
+        room.moving[lane] = np.float64(counters[w, STARTED])
         for i in range(actions.shape[1]):
             for k in range(actions.shape[2]):
                 a = np.float64(actions[w, i, k])
                 executed[i, k * LANES + lane] = min(max(a, -1.0), 1.0)
         if s.gusts.kick != 0.0:
-            for i in range(vehicles.shape[1]):
+            for i in range(state.vehicles.shape[1]):
                 x = vehicle(state, w, i)
                 key = state.episode_keys[w]
                 put(x, 13, gust(load(x, 13), s.gusts, key, i, counters[w, TICK]))
@@ -381,12 +333,52 @@ def _prepare(
 
 
 @device
+def _lead(state: State, c: Constants, t: int, room: Scratch, kind: int, s: World) -> None:
+    """The leader's references, and its velocity before the tick, in all worlds of tile `t`."""
+    counters, table, lines = state.counters, c.references, room.body
+    for lane in range(min(LANES, len(counters) - t * LANES)):
+        w = t * LANES + lane
+        line = carve(lines, lane * REFERENCE_ROW, (REFERENCE_ROW,))
+        if counters[w, STARTED] != 0 and len(table) > 0:
+            row = carve(table, counters[w, CLOCK] * REFERENCE_ROW, (REFERENCE_ROW,))
+            for k in range(REFERENCE_ROW):
+                line[k] = row[k]
+        else:
+            _refer(state, w, line, kind, s)
+    gather(lines, room.refs)
+    copy(state.vehicles[t, 0], 3, room.before, 0, 2)
+    copy(room.seen[min(t, len(room.seen) - 1), 0], 3, state.seen[t], 0, 2)
+
+
+@device
+def _save(state: State, t: int, room: Scratch) -> None:
+    """Keep what flying changes: lanes whose worlds do not step are computed too, then put back."""
+    for i in range(state.vehicles.shape[1]):
+        copy(state.vehicles[t, i], 0, room.saved, 32 * i, 16)
+        if state.samples.shape[2] == 1:
+            sample = state.samples[t, i, 0]
+            copy(sample, 0, room.saved, 32 * i + 16, 16)
+
+
+@device
+def _put_back(state: State, t: int, room: Scratch) -> None:
+    """Undo the tick in the lanes whose worlds do not step."""
+    for i in range(state.vehicles.shape[1]):
+        x = state.vehicles[t, i]
+        restore(room.saved, 32 * i, x, 16, room.active)
+        if state.samples.shape[2] == 1:
+            sample = state.samples[t, i, 0]
+            restore(room.saved, 32 * i + 16, sample, 16, room.active)
+
+
+@device
 def _command(state: State, t: int, room: Scratch, s: World) -> None:
     """The commands of all vehicles of tile `t`."""
+    seen = room.seen[min(t, len(room.seen) - 1), 0]
     if s.leader_actuation == MOMENT:
-        lead_by_moment(room.seen[0], room.refs, room.commands[0], s)
+        lead_by_moment(seen, room.refs, room.commands[0], s)
     else:
-        lead_by_rates(room.seen[0], room.refs, room.commands[0], s)
+        lead_by_rates(seen, room.refs, room.commands[0], s)
     for i in range(len(room.actions)):
         action, command = room.actions[i], room.commands[i + 1]
         if s.level == WRENCH:
@@ -412,150 +404,195 @@ def _command(state: State, t: int, room: Scratch, s: World) -> None:
 
 @device
 def _fly(state: State, t: int, room: Scratch, s: World) -> None:
-    """Fly all vehicles of the active worlds of tile `t` for one tick, sampling on the way."""
+    """Fly all vehicles of tile `t` for one tick, sampling on the way."""
     h = s.clock.period / s.clock.substeps
     plain = _plain(s)
-    counts = np.zeros(LANES, dtype=np.uint64)
     if plain and not silent(s.noise):
         for lane in range(min(LANES, len(state.counters) - t * LANES)):
-            counts[lane] = state.counters[t * LANES + lane, TICK] + 1
+            room.counts[lane] = state.counters[t * LANES + lane, TICK] + 1
     # In step with the ticks a measurement is due at their end; else the worlds differ.
     aligned = s.clock.sample_every % s.clock.substeps == 0
     for i in range(state.vehicles.shape[1]):
-        x = state.vehicles[t, i].reshape(16 * LANES)
+        x = state.vehicles[t, i]
         actuation = s.leader_actuation if i == 0 else s.follower_actuation
-        commands, touches = room.commands[i], room.touches[i]
-        for lane in range(LANES):
-            touches[lane], touches[LANES + lane] = 0.0, 1.0
+        command, touch = room.commands[i], room.touches[i]
+        clear_touch(touch)
+        low = doubtful(x, command, room.active, s.clock.period, h, s.airframe.mass) > 0
         for k in range(s.clock.substeps):
+            if low:
+                copy(x, 0, room.body, 0, 13)
             if actuation == MOMENT:
-                fly_by_moment(x, commands, touches, room.active, h, s.airframe)
+                fly_by_moment(x, command, h, s.airframe)
             else:
-                fly_by_rates(x, commands, touches, room.active, h, s.airframe)
+                fly_by_rates(x, command, h, s.airframe)
+            if low:
+                land(x, room.body, touch)
             if not plain and (not aligned or k + 1 == s.clock.substeps):
                 _sense(state, t, i, room, k, s)
         if plain:
-            sample = state.samples[t, i, 0].reshape(16 * LANES)
+            sample = state.samples[t, i, 0]
             if silent(s.noise):
-                sense_exactly(x, commands, touches, room.active, sample, s.airframe)
+                sense_exactly(x, command, touch, sample, s.airframe)
             else:
                 keys = state.episode_keys[t * LANES : (t + 1) * LANES]
-                air, noise, active = s.airframe, s.noise, room.active
-                sense(x, commands, touches, active, sample, air, noise, keys, counts, i)
+                sense(x, command, touch, sample, s.airframe, s.noise, keys, room.counts, i)
 
 
 @device
 def _count(state: State, c: Constants, t: int, room: Scratch, s: World) -> None:
     """Move the counters and headings of the worlds of tile `t` that have flown on by a tick."""
-    counters, active = state.counters, room.active
+    counters = state.counters
     for lane in range(LANES):
-        if active[lane] != 0.0:
+        if room.active[lane] != 0.0:
             w = t * LANES + lane
             tick = counters[w, TICK] + 1
             counters[w, TICK] = tick
             counters[w, SAMPLES] = tick * s.clock.substeps // s.clock.sample_every
+            counters[w, CLOCK] += counters[w, STARTED]
     _receive(state, t, room)
-    leader = state.vehicles[t, 0].reshape(16 * LANES)
-    seen_before, seen = state.seen[t].reshape(2 * LANES), room.seen[0]
+    leader, seen = state.vehicles[t, 0], room.seen[min(t, len(room.seen) - 1), 0]
+    seen_before = state.seen[t]
     for i in range(len(c.offsets)):
-        x = state.followers[t, i].reshape(14 * LANES)
+        x = state.followers[t, i]
         d_x, h = c.offsets[i, 0], s.clock.period
         turn_headings(x, leader, room.before, seen, seen_before, room.moving, d_x, h)
-    for lane in range(LANES):
-        if active[lane] != 0.0:
-            w = t * LANES + lane
-            if counters[w, STARTED] != 0:
-                counters[w, CLOCK] += 1
-            elif _triggered(state, c, w, s):
-                counters[w, STARTED] = 1
 
 
 @device
 def _locate(state: State, c: Constants, t: int, room: Scratch) -> None:
     """Slots, slot errors and separations in all worlds of tile `t`."""
-    worlds, vehicles = len(state.counters), len(c.offsets) + 1
-    for lane in range(min(LANES, worlds - t * LANES)):
+    vehicles = len(c.offsets) + 1
+    for lane in range(min(LANES, len(state.counters) - t * LANES)):
         room.started[lane] = 1.0 if state.counters[t * LANES + lane, STARTED] != 0 else 0.0
-    leader, begin = state.vehicles[t, 0].reshape(16 * LANES), state.begins[t].reshape(3 * LANES)
+    leader, begin = state.vehicles[t, 0], state.begins[t]
     for i in range(1, vehicles):
-        x, own = (
-            state.followers[t, i - 1].reshape(14 * LANES),
-            state.vehicles[t, i].reshape(16 * LANES),
-        )
-        where = room.where[i - 1]
-        locate(x, leader, own, begin, room.started, load(c.offsets[i - 1], 0), where)
+        x, out = state.followers[t, i - 1], room.outcomes[i - 1]
+        own = state.vehicles[t, i]
+        locate(x, leader, own, begin, room.started, load(c.offsets[i - 1], 0), out)
         for j in range(vehicles):
             if j != i:
-                approach(own, state.vehicles[t, j].reshape(16 * LANES), where)
+                approach(own, state.vehicles[t, j], out)
+        separate(out)
 
 
 @device
-def _judge(state: State, c: Constants, t: int, room: Scratch, r: Results, s: Settings) -> None:
-    """Rewards and failures of the worlds of tile `t` that have flown."""
-    n = len(c.offsets)
+def _trigger(state: State, t: int, room: Scratch, s: World) -> bool:
+    """The trigger (40), on true positions: every vehicle is near where it should start from.
+
+    Returns whether it fired in any world of tile `t`; the slots there are then others.
+    """
+    fired = False
+    for lane in range(LANES):
+        w = t * LANES + lane
+        if room.active[lane] == 0.0 or state.counters[w, STARTED] != 0:
+            continue
+        ready = within(load(vehicle(state, w, 0), 0), begin_of(state, w), s.trigger)
+        for i in range(len(room.outcomes)):
+            error = room.outcomes[i, ERROR_SQUARED * LANES + lane]
+            ready = ready and error < s.trigger * s.trigger
+        if ready:
+            state.counters[w, STARTED] = 1
+            fired = True
+    return fired
+
+
+@device
+def _judge(state: State, t: int, room: Scratch, r: Results, task: Task, s: Settings) -> None:
+    """Rewards and failures of the worlds of tile `t`: nothing for those that have not flown."""
+    n = len(room.actions)
+    room.tally[:] = 0.0
     for i in range(n):
-        x = state.followers[t, i].reshape(14 * LANES)
         judge(
-            x,
+            state.followers[t, i],
             room.actions[i],
             room.touches[i + 1],
-            room.where[i],
             room.active,
-            c.action_size,
+            task.action_size,
             s.rewards,
             s.limits,
-            room.verdicts[i],
+            room.outcomes[i],
+            room.tally,
         )
-    active, touches, verdicts = room.active, room.touches, room.verdicts
-    outputs, counters = r.outputs, state.counters
-    for lane in range(LANES):
-        if active[lane] != 0.0:
-            w = t * LANES + lane
-            ended, total = touches[0, lane] > s.limits.impact, 0.0
-            for i in range(n):
-                for k in range(TERMS + 4):
-                    outputs[w, i, k] = verdicts[i, k * LANES + lane]
-                why = verdicts[i, 5 * LANES + lane]
-                outputs[w, i, FAILED] = why
-                total += verdicts[i, lane]
-                ended = ended or why != NO_FAILURE
-            late = counters[w, TICK] >= c.max_steps
-            r.rewards[w], r.terminated[w], r.truncated[w] = total / n, ended, late
+    counters, ends, impacts = state.counters, r.ends, room.touches[0]
+    for lane in range(min(LANES, len(counters) - t * LANES)):
+        w = t * LANES + lane
+        ended = late = False
+        if room.active[lane] != 0.0:
+            ended = room.tally[LANES + lane] > 0.0 or impacts[lane] > s.limits.impact
+            late = counters[w, TICK] >= task.max_steps
             counters[w, OVER] = ended or late
+        ends[0, w] = room.tally[lane] / n
+        ends[1, w] = ended
+        ends[2, w] = late
 
 
 @device
-def _look(state: State, c: Constants, t: int, room: Scratch, r: Results, s: World) -> None:
-    """Write what every follower of tile `t` sees, and the truth beside it."""
+def _see_neighbours(state: State, t: int, i: int, k: int, room: Scratch, neighbours: int) -> None:
+    """What follower `i` sees of its nearest neighbours, from row `k` of the observation on.
+
+    With nobody else the rows stay as zero as they were made.
+    """
+    n = len(room.actions)
+    x, own = state.followers[t, i], room.seen[min(t, len(room.seen) - 1), i + 1]
+    if n == 2 and neighbours > 0:
+        see_neighbour(x, own, room.seen[min(t, len(room.seen) - 1), 2 - i], k, room.rows)
+        return
+    here = min(n - 1, neighbours)
+    for m in range(here):
+        forget(room.nearest[m])
+    candidate = room.nearest[neighbours]
+    for j in range(n):
+        if j != i and here > 0:
+            measure(own, room.seen[min(t, len(room.seen) - 1), j + 1], float(j), candidate)
+            for m in range(here):
+                insert(candidate, room.nearest[m])
+    for m in range(here):
+        for lane in range(LANES):
+            j = int(room.nearest[m, LANES + lane])
+            other = room.seen[min(t, len(room.seen) - 1), j + 1]
+            for row in range(6):
+                room.body[row * LANES + lane] = other[row * LANES + lane]
+        see_neighbour(x, own, room.body, k + m * NEIGHBOUR, room.rows)
+
+
+@device
+def _look(
+    state: State,
+    c: Constants,
+    t: int,
+    room: Scratch,
+    observations: Any,
+    outputs: Any,
+    task: Task,
+    s: World,
+) -> None:
+    """Write what every follower of tile `t` sees, and what became of it, into flat arrays."""
+    n, width = len(c.offsets), len(OUTPUTS)
+    entries = len(room.rows) // LANES
     here = min(LANES, len(state.counters) - t * LANES)
-    begin = state.begins[t].reshape(3 * LANES)
-    observations, outputs, rows, where = r.observations, r.outputs, room.rows, room.where
-    for i in range(len(c.offsets)):
-        x = state.followers[t, i].reshape(14 * LANES)
-        d = load(c.offsets[i], 0)
-        own = room.seen[i + 1]
-        see(x, own, room.seen[0], begin, room.started, d, room.row)
-        clip_into(room.row, 0, CORE, c.bound, 0, room.rows)
+    begin, seen = state.begins[t], room.seen[min(t, len(room.seen) - 1), 0]
+    for i in range(n):
+        x, own = state.followers[t, i], room.seen[min(t, len(room.seen) - 1), i + 1]
+        see(x, own, seen, begin, room.started, load(c.offsets[i], 0), room.rows)
         k = CORE
         if s.level == REFERENCE:
-            see_guide(x, own, room.row)
-            clip_into(room.row, 0, 6, c.bound, k, room.rows)
-            k += 6
-        for m in range(c.neighbours):
-            best = room.found[m + 1]
-            forget(best)
-            for j in range(len(c.offsets)):
-                if j != i:
-                    consider(x, own, room.seen[j + 1], float(j), room.found[m], best)
-            clip_into(best, 2, 7, c.bound, k, room.rows)
-            k += 7
-        for lane in range(here):
-            w = t * LANES + lane
-            for k in range(observations.shape[2]):
-                observations[w, i, k] = rows[k * LANES + lane]
-            for k in range(6):
-                outputs[w, i, SLOT + k] = where[i, k * LANES + lane]
-            outputs[w, i, SEPARATION] = np.sqrt(where[i, 7 * LANES + lane])
+            see_guide(x, own, k, room.rows)
+            k += GUIDE
+        _see_neighbours(state, t, i, k, room, task.neighbours)
+        first = t * LANES * n + i
+        scatter(room.rows, entries, observations, first * entries, n * entries, here)
+        scatter(room.outcomes[i], width, outputs, first * width, n * width, here)
+
+
+@device
+def _bad_action(actions: Any) -> int:
+    """Number of the first row `(world, follower)` that holds a non-finite number, or -1."""
+    numbers = carve(actions, 0, (actions.size,))
+    if count_finite(numbers) < len(numbers):
+        for k in range(len(numbers)):
+            if not np.isfinite(numbers[k]):
+                return int(k // actions.shape[2])
+    return -1
 
 
 @kernel
@@ -565,76 +602,88 @@ def advance(
     mode: int,
     actions: NDArray[np.float32],
     mask: NDArray[np.bool_],
-    floats: Floats,
-    counters: NDArray[np.int64],
-    keys: NDArray[np.uint64],
-    numbers: Floats,
-    bound: NDArray[np.float32],
-    sizes: NDArray[np.int64],
+    memory: Floats,
+    room: Floats,
     observations: NDArray[np.float32],
     outputs: Floats,
-    flags: NDArray[np.bool_],
+    ends: Floats,
     last_observations: NDArray[np.float32],
     last_outputs: Floats,
-    flat: Floats,
-) -> None:
+) -> int:
     """Step or reset those worlds of the tiles `first` to `last` that `mask` names; look at the others.
 
-    `floats` to `sizes` are `Memory`, `observations` to `last_outputs` what `memory.results` made,
-    `flat` is room for `Scratch`.
+    `memory` is what `memory.allocate` made, `room` what `memory.scratch` did, and the rest `Results`.
+    Returns the number of the first row of `actions` that holds a non-finite number, having done nothing
+    then, or -1.
 
     Each thing that may happen to a world stands once in here: compiled twice, the same formula may
     come out with other fused operations, and the faces would differ in a last bit.
     """
-    state = open_state(floats, counters, keys, sizes)
-    c = open_constants(numbers, bound, sizes)
-    r = open_results(observations, outputs, flags, last_observations, last_outputs, sizes)
+    bad = _bad_action(actions)
+    if bad >= 0:
+        return bad
+    actions, mask = carve(actions, 0, actions.shape), carve(mask, 0, mask.shape)
+    seen, told = carve(observations, 0, (observations.size,)), carve(outputs, 0, (outputs.size,))
+    r = Results(
+        carve(observations, 0, observations.shape),
+        carve(outputs, 0, outputs.shape),
+        carve(ends, 0, ends.shape),
+        carve(last_observations, 0, last_observations.shape),
+        carve(last_outputs, 0, last_outputs.shape),
+    )
+    sizes = size_numbers(memory)
+    state, c = open_state(memory), open_constants(memory)
+    work = open_scratch(room, state, sizes)
+    task = Task(sizes[11], sizes[12], sizes[13], sizes[14])
     s = unpack(c.settings)
-    room = _scratch(flat, c)
     worlds = len(state.counters)
     for t in range(first, last):
         end = min((t + 1) * LANES, worlds)
-        _receive(state, t, room)
-        flying, waiting = _prepare(state, c, t, actions, mask, mode, room, s.world)
-        if flying:
-            _command(state, t, room, s.world)
-            _fly(state, t, room, s.world)
-            _count(state, c, t, room, s.world)
-        judged, again = not flying, True
+        _receive(state, t, work)
+        flying, waiting = _prepare(state, t, actions, mask, mode, work, s.world)
+        if flying > 0:
+            if flying < LANES:
+                _save(state, t, work)
+            _lead(state, c, t, work, task.trajectory_kind, s.world)
+            _command(state, t, work, s.world)
+            _fly(state, t, work, s.world)
+            if flying < LANES:
+                _put_back(state, t, work)
+            _count(state, c, t, work, s.world)
+        judged, triggered, again = False, flying == 0, True
         while again:
             if waiting:
                 for w in range(t * LANES, end):
                     lane = w % LANES
-                    fresh = mask[w] and room.active[lane] == 0.0
-                    if fresh or (judged and flying and state.counters[w, OVER] != 0):
-                        _reset(state, c, w, r.outputs[w], s)
-                        room.active[lane] = 0.0
-                _receive(state, t, room)
+                    fresh = mask[w] and work.active[lane] == 0.0
+                    if fresh or (judged and flying > 0 and state.counters[w, OVER] != 0):
+                        _reset(state, c, w, work, task, s)
+                        work.active[lane] = 0.0
+                _receive(state, t, work)
                 waiting = False
-            _locate(state, c, t, room)
+            _locate(state, c, t, work)
+            if not triggered:
+                triggered = True
+                if _trigger(state, t, work, s.world):
+                    continue
             if not judged:
-                _judge(state, c, t, room, r, s)
+                _judge(state, t, work, r, task, s)
                 judged = True
-            _look(state, c, t, room, r, s.world)
+            _look(state, c, t, work, seen, told, task, s.world)
             again = False
             if mode == STEP_AND_RESET:
                 for w in range(t * LANES, end):
-                    if room.active[w % LANES] != 0.0 and state.counters[w, OVER] != 0:
+                    if work.active[w % LANES] != 0.0 and state.counters[w, OVER] != 0:
                         r.final_observations[w] = r.observations[w]
                         r.final_outputs[w] = r.outputs[w]
                         again = waiting = True
+    return -1
 
 
 @kernel
-def first_bad_action(actions: NDArray[np.float32]) -> Any:
+def first_bad_action(actions: NDArray[np.float32]) -> int:
     """Number of the first row `(world, follower)` that holds a non-finite number, or -1."""
-    worlds, n, size = actions.shape
-    for w in range(worlds):
-        for i in range(n):
-            for k in range(size):
-                if not np.isfinite(actions[w, i, k]):
-                    return w * n + i
-    return -1
+    return _bad_action(actions)
 
 
 @kernel
@@ -648,13 +697,8 @@ def reference_path(kind: int, table: Floats, times: Floats) -> Floats:
 
 @kernel
 def reference_table(kind: int, table: Floats, period: float, steps: int) -> Floats:
-    """A trajectory tick by tick, `(steps + 1, 15)`: position and four derivatives."""
-    rows = np.empty((steps + 1, 15))
+    """A trajectory tick by tick, `(steps + 1, 16)`: position and four derivatives."""
+    rows = np.zeros((steps + 1, REFERENCE_ROW))
     for k in range(steps + 1):
-        ref = evaluate(kind, table, k * period)
-        put(rows[k], 0, ref.p)
-        put(rows[k], 3, ref.v)
-        put(rows[k], 6, ref.a)
-        put(rows[k], 9, ref.j)
-        put(rows[k], 12, ref.s)
+        put_reference(rows[k], evaluate(kind, table, k * period))
     return rows

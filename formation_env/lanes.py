@@ -2,7 +2,7 @@
 
 The mathematics is that of `world`, inlined. A loop becomes vector code only if nothing in it is called
 or branches, if its row stride is a constant, and if its indices are unsigned; a test looks at the
-machine code. Both loops here are functions of their own, so that every caller runs the same code.
+machine code. Each loop is a function of its own, so that every caller runs the same code.
 """
 
 from __future__ import annotations
@@ -12,13 +12,42 @@ from typing import Any
 import numpy as np
 
 from formation_env._jit import device, loop
-from formation_env.memory import ESTIMATE, GUIDE_P, GUIDE_V, HEADING, LANES, PREVIOUS
-from formation_env.quadrotor import MOMENT, RATES, Airframe, Body, Wrench, saturate
+from formation_env.blocks import LANES
+from formation_env.memory import (
+    ERROR,
+    ERROR_SQUARED,
+    ESTIMATE,
+    FAILED,
+    GUIDE_P,
+    GUIDE_V,
+    HEADING,
+    PREVIOUS,
+    REWARD,
+    SEPARATION,
+    SEPARATION_SQUARED,
+    SLOT,
+    TERMS,
+)
+from formation_env.quadrotor import (
+    GRAVITY,
+    MOMENT,
+    RATES,
+    Airframe,
+    Body,
+    Wrench,
+    fly,
+    saturate,
+    touch_floor,
+)
 from formation_env.sensors import Measured, Noise, corrupt
 from formation_env.slots import advance_heading, slot
 from formation_env.so3 import Vector, dot, pick, pick_vector, sub
 from formation_env.task import (
+    ANYWHERE,
+    NEAR,
     NO_FAILURE,
+    RATE_BOUND,
+    UNIT,
     Limits,
     Rewards,
     failure,
@@ -28,7 +57,7 @@ from formation_env.task import (
     reward,
 )
 from formation_env.trajectories import Reference
-from formation_env.world import Action, Guide, World, driven, motion, substep, track, truth
+from formation_env.world import Action, Guide, World, driven, motion, track, truth
 
 _LANES = np.uint64(LANES)
 
@@ -58,30 +87,103 @@ def _keep_vector(x: Any, row: int, lane: Any, on: bool, a: Vector) -> None:
 
 
 @device
-def _fly_lane(
-    x: Any, command: Any, touch: Any, on: bool, lane: Any, h: float, actuation: int, frame: Airframe
-) -> None:
-    """One substep of one vehicle in one lane: body and push in `x`, contact noted in `touch`."""
-    q = (x[at(6, lane)], x[at(7, lane)], x[at(8, lane)], x[at(9, lane)])
-    body = Body(_load(x, 0, lane), _load(x, 3, lane), q, _load(x, 10, lane))
+def _body(x: Any, lane: Any) -> Body:
+    return Body(_load(x, 0, lane), _load(x, 3, lane), _four(x, 6, lane), _load(x, 10, lane))
+
+
+@device
+def _put_body(x: Any, lane: Any, b: Body) -> None:
+    _put(x, 0, lane, b.p)
+    _put(x, 3, lane, b.v)
+    _put_four(x, 6, lane, b.q)
+    _put(x, 10, lane, b.w)
+
+
+@device
+def _fly(x: Any, command: Any, lane: Any, h: float, actuation: int, frame: Airframe) -> None:
     applied = Wrench(command[lane], _load(command, 1, lane))
-    after, contact = substep(body, applied, _load(x, 13, lane), h, actuation, frame)
-    _keep_vector(x, 0, lane, on, after.p)
-    _keep_vector(x, 3, lane, on, after.v)
-    _keep(x, 6, lane, on, after.q[0])
-    _keep(x, 7, lane, on, after.q[1])
-    _keep(x, 8, lane, on, after.q[2])
-    _keep(x, 9, lane, on, after.q[3])
-    _keep_vector(x, 10, lane, on, after.w)
-    harder = contact.touching & (contact.speed > touch[lane])
-    touch[at(1, lane)] = pick(harder, contact.uprightness, touch[at(1, lane)])
-    touch[lane] = max(touch[lane], contact.speed)
-    touch[at(2, lane)] = pick(contact.touching, 1.0, 0.0)
+    _put_body(x, lane, fly(_body(x, lane), applied, _load(x, 13, lane), h, actuation, frame))
+
+
+@loop
+def fly_by_moment(x: Any, command: Any, h: float, frame: Airframe) -> None:
+    """One substep in the air of a vehicle driven by moments, in all lanes."""
+    for lane in range(_LANES):
+        _fly(x, command, lane, h, MOMENT, frame)
+
+
+@loop
+def fly_by_rates(x: Any, command: Any, h: float, frame: Airframe) -> None:
+    """One substep in the air of a vehicle driven by rates, in all lanes."""
+    for lane in range(_LANES):
+        _fly(x, command, lane, h, RATES, frame)
+
+
+@loop
+def doubtful(x: Any, command: Any, active: Any, period: float, substep: float, mass: float) -> int:
+    """In how many active lanes a vehicle may meet the floor within `period`; 0 is certain.
+
+    Bounds the distance flown by the speed and twice the acceleration possible under the thrust held;
+    a vehicle that turns by more than a radian in a substep is not relied upon.
+    """
+    count = 0
+    for lane in range(_LANES):
+        w = _load(x, 10, lane)
+        a = 2.0 * abs(command[lane]) / mass + GRAVITY + abs(x[at(15, lane)])
+        lowest = x[at(2, lane)] + period * (abs(x[at(5, lane)]) + period * a)
+        safe = (lowest < 0.0) & (substep * substep * dot(w, w) < 1.0)
+        count += (active[lane] > 0.0) & (not safe)
+    return count
+
+
+@loop
+def land(x: Any, before: Any, touch: Any) -> None:
+    """After a substep from `before`: keep the vehicle above the floor and note the contact."""
+    for lane in range(_LANES):
+        kept, contact = touch_floor(_body(x, lane), _body(before, lane))
+        _put_body(x, lane, kept)
+        harder = contact.touching & (contact.speed > touch[lane])
+        touch[at(1, lane)] = pick(harder, contact.uprightness, touch[at(1, lane)])
+        touch[lane] = max(touch[lane], contact.speed)
+        touch[at(2, lane)] = pick(contact.touching, 1.0, 0.0)
+
+
+@loop
+def clear_touch(touch: Any) -> None:
+    """Nothing has touched the floor yet."""
+    for lane in range(_LANES):
+        _put(touch, 0, lane, (0.0, 1.0, 0.0))
+
+
+@loop
+def count_finite(numbers: Any) -> int:
+    """How many are neither infinite nor NaN."""
+    count = 0
+    for k in range(np.uint64(len(numbers))):
+        count += abs(numbers[k]) < np.inf
+    return count
+
+
+@loop
+def copy(source: Any, first: int, sink: Any, to: int, rows: int) -> None:
+    """`rows` rows from `first` on, to `to` on."""
+    a, b = np.uint64(first) * _LANES, np.uint64(to) * _LANES
+    for k in range(np.uint64(rows) * _LANES):
+        sink[b + k] = source[a + k]
+
+
+@loop
+def restore(saved: Any, first: int, sink: Any, rows: int, active: Any) -> None:
+    """Put `rows` rows of `sink` back where a lane is not active."""
+    for row in range(rows):
+        a, b = np.uint64(first + row) * _LANES, np.uint64(row) * _LANES
+        for lane in range(_LANES):
+            sink[b + lane] = pick(active[lane] > 0.0, sink[b + lane], saved[a + lane])
 
 
 @device
 def _measured(x: Any, lane: Any) -> Measured:
-    q = (x[at(9, lane)], x[at(10, lane)], x[at(11, lane)], x[at(12, lane)])
+    q = _four(x, 9, lane)
     return Measured(_load(x, 0, lane), _load(x, 3, lane), _load(x, 6, lane), q, _load(x, 13, lane))
 
 
@@ -93,6 +195,12 @@ def _four(x: Any, row: int, lane: Any) -> Action:
 @device
 def _put(x: Any, row: int, lane: Any, a: Vector) -> None:
     x[at(row, lane)], x[at(row + 1, lane)], x[at(row + 2, lane)] = a
+
+
+@device
+def _put_four(x: Any, row: int, lane: Any, a: Action) -> None:
+    _put(x, row, lane, (a[0], a[1], a[2]))
+    x[at(row + 3, lane)] = a[3]
 
 
 @device
@@ -145,17 +253,27 @@ def drive_by_rates(action: Any, command: Any, world: World) -> None:
         _drive(action, command, lane, RATES, world)
 
 
+@device
+def _exactly(x: Any, command: Any, touch: Any, lane: Any, frame: Airframe) -> Measured:
+    applied = Wrench(command[lane], _load(command, 1, lane))
+    touching = touch[at(2, lane)] > 0.0
+    return truth(_body(x, lane), applied, _load(x, 13, lane), touching, frame)
+
+
+@device
+def _put_sample(sample: Any, lane: Any, m: Measured) -> None:
+    _put(sample, 0, lane, m.p)
+    _put(sample, 3, lane, m.v)
+    _put(sample, 6, lane, m.a)
+    _put_four(sample, 9, lane, m.q)
+    _put(sample, 13, lane, m.w)
+
+
 @loop
-def sense_exactly(
-    x: Any, command: Any, touch: Any, active: Any, sample: Any, frame: Airframe
-) -> None:
-    """A measurement without noise of one vehicle, in the active lanes."""
+def sense_exactly(x: Any, command: Any, touch: Any, sample: Any, frame: Airframe) -> None:
+    """A measurement without noise of one vehicle, in all lanes."""
     for lane in range(_LANES):
-        q = _four(x, 6, lane)
-        body = Body(_load(x, 0, lane), _load(x, 3, lane), q, _load(x, 10, lane))
-        applied = Wrench(command[lane], _load(command, 1, lane))
-        m = truth(body, applied, _load(x, 13, lane), touch[at(2, lane)] > 0.0, frame)
-        _keep_sample(sample, lane, active[lane] > 0.0, m)
+        _put_sample(sample, lane, _exactly(x, command, touch, lane, frame))
 
 
 @loop
@@ -163,7 +281,6 @@ def sense(
     x: Any,
     command: Any,
     touch: Any,
-    active: Any,
     sample: Any,
     frame: Airframe,
     noise: Noise,
@@ -171,26 +288,10 @@ def sense(
     counts: Any,
     who: int,
 ) -> None:
-    """A noisy measurement, number `counts`, of vehicle `who`, in the active lanes."""
+    """A noisy measurement, number `counts`, of vehicle `who`, in all lanes."""
     for lane in range(_LANES):
-        q = _four(x, 6, lane)
-        body = Body(_load(x, 0, lane), _load(x, 3, lane), q, _load(x, 10, lane))
-        applied = Wrench(command[lane], _load(command, 1, lane))
-        exact = truth(body, applied, _load(x, 13, lane), touch[at(2, lane)] > 0.0, frame)
-        m = corrupt(exact, noise, keys[lane], who, counts[lane])
-        _keep_sample(sample, lane, active[lane] > 0.0, m)
-
-
-@device
-def _keep_sample(sample: Any, lane: Any, on: bool, m: Measured) -> None:
-    _keep_vector(sample, 0, lane, on, m.p)
-    _keep_vector(sample, 3, lane, on, m.v)
-    _keep_vector(sample, 6, lane, on, m.a)
-    _keep(sample, 9, lane, on, m.q[0])
-    _keep(sample, 10, lane, on, m.q[1])
-    _keep(sample, 11, lane, on, m.q[2])
-    _keep(sample, 12, lane, on, m.q[3])
-    _keep_vector(sample, 13, lane, on, m.w)
+        exact = _exactly(x, command, touch, lane, frame)
+        _put_sample(sample, lane, corrupt(exact, noise, keys[lane], who, counts[lane]))
 
 
 @device
@@ -218,8 +319,8 @@ def turn_headings(
 
 
 @loop
-def locate(x: Any, leader: Any, own: Any, begin: Any, started: Any, d: Vector, where: Any) -> None:
-    """Slot, slot error and its square, into rows 0-2, 3-5 and 6 of `where`; row 7 cleared."""
+def locate(x: Any, leader: Any, own: Any, begin: Any, started: Any, d: Vector, out: Any) -> None:
+    """Slot, slot error and its square into their rows of `out`; nobody is near yet."""
     for lane in range(_LANES):
         on = started[lane] > 0.0
         R = complex(x[at(HEADING, lane)], x[at(HEADING + 1, lane)])
@@ -227,18 +328,26 @@ def locate(x: Any, leader: Any, own: Any, begin: Any, started: Any, d: Vector, w
         v_L = pick_vector(on, _load(leader, 3, lane), (0.0, 0.0, 0.0))
         target = slot(R, p_L, v_L, d)
         error = sub(target.p, _load(own, 0, lane))
-        _put(where, 0, lane, target.p)
-        _put(where, 3, lane, error)
-        where[at(6, lane)] = dot(error, error)
-        where[at(7, lane)] = np.inf
+        _put(out, SLOT, lane, target.p)
+        _put(out, ERROR, lane, error)
+        out[at(ERROR_SQUARED, lane)] = dot(error, error)
+        out[at(SEPARATION_SQUARED, lane)] = np.inf
 
 
 @loop
-def approach(one: Any, other: Any, where: Any) -> None:
-    """Keep the least squared distance between vehicle `one` and the others in row 7 of `where`."""
+def approach(one: Any, other: Any, out: Any) -> None:
+    """Keep the least squared distance between vehicle `one` and the others in a row of `out`."""
     for lane in range(_LANES):
         e = sub(_load(one, 0, lane), _load(other, 0, lane))
-        where[at(7, lane)] = min(where[at(7, lane)], dot(e, e))
+        row = at(SEPARATION_SQUARED, lane)
+        out[row] = min(out[row], dot(e, e))
+
+
+@loop
+def separate(out: Any) -> None:
+    """The distance to the nearest other vehicle, from its square."""
+    for lane in range(_LANES):
+        out[at(SEPARATION, lane)] = np.sqrt(out[at(SEPARATION_SQUARED, lane)])
 
 
 @loop
@@ -246,122 +355,136 @@ def judge(
     x: Any,
     action: Any,
     touch: Any,
-    where: Any,
     active: Any,
     size: int,
     rewards: Rewards,
     limits: Limits,
-    verdict: Any,
+    out: Any,
+    tally: Any,
 ) -> None:
-    """Reward, its four terms and the kind of failure, into the six rows of `verdict`."""
+    """Reward, its terms and kind of failure into `out`; added up in `tally`.
+
+    Worlds that have not stepped earn nothing and their followers have not failed.
+    """
     for lane in range(_LANES):
-        error = np.sqrt(where[at(6, lane)])
-        separation = np.sqrt(where[at(7, lane)])
+        on = active[lane] > 0.0
+        error = np.sqrt(out[at(ERROR_SQUARED, lane)])
+        separation = out[at(SEPARATION, lane)]
         why = failure(separation, touch[lane], touch[at(1, lane)], error, limits)
         a, b = _four(action, 0, lane), _four(x, PREVIOUS, lane)
         terms = reward(error, a, b, size, why != NO_FAILURE, rewards)
-        verdict[lane] = terms.formation + terms.effort + terms.smoothness + terms.failure
-        verdict[at(1, lane)] = terms.formation
-        verdict[at(2, lane)] = terms.effort
-        verdict[at(3, lane)] = terms.smoothness
-        verdict[at(4, lane)] = terms.failure
-        verdict[at(5, lane)] = float(why)
-        on = active[lane] > 0.0
-        _keep(x, PREVIOUS, lane, on, a[0])
-        _keep(x, PREVIOUS + 1, lane, on, a[1])
-        _keep(x, PREVIOUS + 2, lane, on, a[2])
-        _keep(x, PREVIOUS + 3, lane, on, a[3])
+        total = terms.formation + terms.effort + terms.smoothness + terms.failure
+        failed = pick(on, float(why), 0.0)
+        out[at(REWARD, lane)] = pick(on, total, 0.0)
+        out[at(TERMS, lane)] = pick(on, terms.formation, 0.0)
+        out[at(TERMS + 1, lane)] = pick(on, terms.effort, 0.0)
+        out[at(TERMS + 2, lane)] = pick(on, terms.smoothness, 0.0)
+        out[at(TERMS + 3, lane)] = pick(on, terms.failure, 0.0)
+        out[at(FAILED, lane)] = failed
+        tally[lane] += pick(on, total, 0.0)
+        tally[at(1, lane)] = max(tally[at(1, lane)], failed)
+        _put_four(x, PREVIOUS, lane, pick_four(on, a, b))
+
+
+@device
+def pick_four(condition: bool, a: Action, b: Action) -> Action:
+    """`a` if the condition holds, else `b`."""
+    return (
+        pick(condition, a[0], b[0]),
+        pick(condition, a[1], b[1]),
+        pick(condition, a[2], b[2]),
+        pick(condition, a[3], b[3]),
+    )
+
+
+@device
+def _show(row: Any, k: int, lane: Any, value: float, bound: float) -> None:
+    """An entry of an observation, clipped, in single precision."""
+    row[at(k, lane)] = min(max(value, -bound), bound)
+
+
+@device
+def _show_vector(row: Any, k: int, lane: Any, a: Vector, bound: float) -> None:
+    _show(row, k, lane, a[0], bound)
+    _show(row, k + 1, lane, a[1], bound)
+    _show(row, k + 2, lane, a[2], bound)
 
 
 @loop
 def see(x: Any, own: Any, leader: Any, begin: Any, started: Any, d: Vector, row: Any) -> None:
-    """A follower's observation without guide and neighbours, into the rows of `row`."""
+    """A follower's observation without guide and neighbours, into the first rows of `row`."""
     for lane in range(_LANES):
         on = started[lane] > 0.0
         R = complex(x[at(ESTIMATE, lane)], x[at(ESTIMATE + 1, lane)])
         m = _measured(leader, lane)
         anchor = pick_vector(on, m.p, _load(begin, 0, lane))
         o = observe(_measured(own, lane), m, anchor, R, d, _four(x, PREVIOUS, lane), on)
-        _put(row, 0, lane, o.slot_error)
-        _put(row, 3, lane, o.relative_velocity)
-        _put(row, 6, lane, o.leader_velocity)
-        _put(row, 9, lane, o.leader_acceleration)
-        _put(row, 12, lane, o.body_x)
-        _put(row, 15, lane, o.body_z)
-        _put(row, 18, lane, o.angular_velocity)
-        row[at(21, lane)] = o.heading[0]
-        row[at(22, lane)] = o.heading[1]
-        _put(row, 23, lane, o.offset)
-        row[at(26, lane)] = o.previous_action[0]
-        row[at(27, lane)] = o.previous_action[1]
-        row[at(28, lane)] = o.previous_action[2]
-        row[at(29, lane)] = o.previous_action[3]
-        row[at(30, lane)] = o.started
-        _put(row, 31, lane, o.position)
+        _show_vector(row, 0, lane, o.slot_error, NEAR)
+        _show_vector(row, 3, lane, o.relative_velocity, RATE_BOUND)
+        _show_vector(row, 6, lane, o.leader_velocity, RATE_BOUND)
+        _show_vector(row, 9, lane, o.leader_acceleration, RATE_BOUND)
+        _show_vector(row, 12, lane, o.body_x, UNIT)
+        _show_vector(row, 15, lane, o.body_z, UNIT)
+        _show_vector(row, 18, lane, o.angular_velocity, RATE_BOUND)
+        _show(row, 21, lane, o.heading[0], UNIT)
+        _show(row, 22, lane, o.heading[1], UNIT)
+        _show_vector(row, 23, lane, o.offset, NEAR)
+        _show(row, 26, lane, o.previous_action[0], UNIT)
+        _show(row, 27, lane, o.previous_action[1], UNIT)
+        _show(row, 28, lane, o.previous_action[2], UNIT)
+        _show(row, 29, lane, o.previous_action[3], UNIT)
+        _show(row, 30, lane, o.started, UNIT)
+        _show_vector(row, 31, lane, o.position, ANYWHERE)
 
 
 @loop
-def see_guide(x: Any, own: Any, row: Any) -> None:
-    """What a follower sees of its virtual follower at level REFERENCE, into six rows of `row`."""
+def see_guide(x: Any, own: Any, k: int, row: Any) -> None:
+    """What a follower sees of its virtual follower at level REFERENCE, from row `k` of `row` on."""
     for lane in range(_LANES):
         R = complex(x[at(ESTIMATE, lane)], x[at(ESTIMATE + 1, lane)])
         guide = Guide(_load(x, GUIDE_P, lane), _load(x, GUIDE_V, lane))
         g = observe_guide(_measured(own, lane), guide, R)
-        _put(row, 0, lane, g.p)
-        _put(row, 3, lane, g.v)
+        _show_vector(row, k, lane, g.p, NEAR)
+        _show_vector(row, k + 3, lane, g.v, RATE_BOUND)
 
 
 @loop
-def forget(best: Any) -> None:
-    """Begin the search for the next neighbour: none found, infinitely far."""
-    for lane in range(_LANES):
-        best[lane] = np.inf
-        best[at(1, lane)] = -1.0
-        for row in range(2, 9):
-            best[at(row, lane)] = 0.0
-
-
-@loop
-def consider(x: Any, own: Any, other: Any, number: float, last: Any, best: Any) -> None:
-    """Take follower `number` into `best` if it is nearer than what is there and beyond `last`.
-
-    Rows of `best` and `last`: squared distance, number, then a `Neighbour`. "Beyond" orders by
-    distance and, where distances are equal, by number, so that nobody is taken twice.
-    """
+def see_neighbour(x: Any, own: Any, other: Any, k: int, row: Any) -> None:
+    """What a follower sees of another one, from row `k` of `row` on."""
     for lane in range(_LANES):
         R = complex(x[at(ESTIMATE, lane)], x[at(ESTIMATE + 1, lane)])
-        mine, its = _measured(own, lane), _measured(other, lane)
-        e = sub(its.p, mine.p)
-        r = dot(e, e)
-        beyond = (r > last[lane]) | ((r == last[lane]) & (number > last[at(1, lane)]))
-        on = beyond & (r < best[lane])
-        o = observe_neighbour(mine, its, R)
-        _keep(best, 0, lane, on, r)
-        _keep(best, 1, lane, on, number)
-        _keep(best, 2, lane, on, o.present)
-        _keep_vector(best, 3, lane, on, o.position)
-        _keep_vector(best, 6, lane, on, o.velocity)
+        o = observe_neighbour(_measured(own, lane), _measured(other, lane), R)
+        _show(row, k, lane, o.present, UNIT)
+        _show_vector(row, k + 1, lane, o.position, NEAR)
+        _show_vector(row, k + 4, lane, o.velocity, RATE_BOUND)
 
 
 @loop
-def clip_into(values: Any, first: int, rows: int, bound: Any, k: int, out: Any) -> None:
-    """Rows of `values` from `first` on, clipped to `bound` from `k` on, into `out`."""
-    for row in range(rows):
-        limit = np.float64(bound[k + row])
-        source, sink = np.uint64(first + row) * _LANES, np.uint64(k + row) * _LANES
-        for lane in range(_LANES):
-            out[sink + lane] = min(max(values[source + lane], -limit), limit)
-
-
-@loop
-def fly_by_moment(x: Any, command: Any, touch: Any, active: Any, h: float, frame: Airframe) -> None:
-    """One substep of a vehicle driven by moments, in all lanes of its tile."""
+def forget(nearest: Any) -> None:
+    """Nobody has been found yet, infinitely far."""
     for lane in range(_LANES):
-        _fly_lane(x, command, touch, active[lane] > 0.0, lane, h, MOMENT, frame)
+        nearest[lane] = np.inf
+        nearest[at(1, lane)] = -1.0
 
 
 @loop
-def fly_by_rates(x: Any, command: Any, touch: Any, active: Any, h: float, frame: Airframe) -> None:
-    """One substep of a vehicle driven by rates, in all lanes of its tile."""
+def measure(own: Any, other: Any, number: float, candidate: Any) -> None:
+    """Squared distance to another follower, and its number."""
     for lane in range(_LANES):
-        _fly_lane(x, command, touch, active[lane] > 0.0, lane, h, RATES, frame)
+        e = sub(_load(other, 0, lane), _load(own, 0, lane))
+        candidate[lane] = dot(e, e)
+        candidate[at(1, lane)] = number
+
+
+@loop
+def insert(candidate: Any, nearest: Any) -> None:
+    """Take the candidate in where it is nearer than who is there, who becomes the candidate.
+
+    Of two equally far the one that came first stays.
+    """
+    for lane in range(_LANES):
+        r, number = candidate[lane], candidate[at(1, lane)]
+        held, holder = nearest[lane], nearest[at(1, lane)]
+        on = r < held
+        nearest[lane], nearest[at(1, lane)] = pick(on, r, held), pick(on, number, holder)
+        candidate[lane], candidate[at(1, lane)] = pick(on, held, r), pick(on, holder, number)

@@ -1,21 +1,23 @@
 """The memory behind `Simulation`: which number lies where, and how it is loaded and stored.
 
-With `looking` and `kernels` one layer; only these and `simulation` know the layout.
+With `blocks`, `lanes` and `kernels` one layer; only these and `simulation` know the layout. World `w` is
+lane `w % LANES` of tile `w // LANES`.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from formation_env._jit import device, plain
+from formation_env.blocks import LANES, carve
 from formation_env.quadrotor import Airframe, Body
 from formation_env.rng import philox
 from formation_env.sensors import Measured, Noise
 from formation_env.so3 import Vector
-from formation_env.task import CORE, Limits, Rewards
+from formation_env.task import Limits, Rewards
 from formation_env.tracker import TrackerLaw
 from formation_env.world import Action, Clock, Guide, Gusts, Reach, World
 
@@ -44,6 +46,8 @@ OUTPUTS = (
     "failed",
 )
 REWARD, TERMS, SLOT, ERROR, SEPARATION, FAILED = 0, 1, 5, 8, 11, 12
+# Rows of Scratch.outcomes that follow these.
+ERROR_SQUARED, SEPARATION_SQUARED, _OUTCOME = 13, 14, 15
 
 # Columns of State.followers.
 HEADING, ESTIMATE, PREVIOUS, GUIDE_P, GUIDE_V = 0, 2, 4, 8, 11
@@ -52,20 +56,15 @@ _LOW = np.uint64(0xFFFFFFFF)
 _HALF = np.uint64(32)
 
 
-# Worlds side by side in a tile. A power of two that fills the widest vector registers twice; world `w`
-# is lane `w % LANES` of tile `w // LANES`.
-LANES = 16
-
-
 class State(NamedTuple):
     """All that changes: W worlds in T tiles of L lanes; n followers, D samples of delay, N averaged."""
 
-    vehicles: Floats  # (T, n+1, 16, L): p, v, q, w, gust; the leader first
-    samples: Floats  # (T, n+1, D+1, 16, L): ring of measurements p, v, a, q, w
-    followers: Floats  # (T, n, 14, L): slot heading, estimated heading, previous action, guide
+    vehicles: Floats  # (T, n+1, 16 L): p, v, q, w, gust; the leader first
+    samples: Floats  # (T, n+1, D+1, 16 L): ring of measurements p, v, a, q, w
+    followers: Floats  # (T, n, 14 L): slot heading, estimated heading, previous action, guide
     speeds: Floats  # (W, N, 3): ring of the leader's measured velocities
-    seen: Floats  # (T, 2, L): the leader's planar velocity as measured one tick ago
-    begins: Floats  # (T, 3, L): the leader's first reference point
+    seen: Floats  # (T, 2 L): the leader's planar velocity as measured one tick ago
+    begins: Floats  # (T, 3 L): the leader's first reference point
     tables: Floats  # (W or 1, T): the leader's trajectory
     counters: NDArray[np.int64]  # (W, 6)
     keys: NDArray[np.uint64]  # (T L,): of the streams
@@ -80,13 +79,29 @@ class Constants(NamedTuple):
     starts: Floats  # (n+1, 3): where vehicles stand at the start on the ground
     drawing: Floats  # bounds of a random trajectory, or empty
     references: (
-        Floats  # (max_steps + 1, 15): the leader's reference tick by tick, or empty if random
+        Floats  # (max_steps + 1, 16): the leader's reference tick by tick, or empty if random
     )
-    bound: NDArray[np.float32]  # (entries,): observations are clipped to it
-    trajectory_kind: int
-    neighbours: int
-    action_size: int
-    max_steps: int
+
+
+class Scratch(NamedTuple):
+    """Room to work on one tile of L lanes, for n followers."""
+
+    active: Floats  # (L,): 1 for worlds that step, else 0
+    moving: Floats  # (L,): 1 for those whose trigger had fired before the tick
+    started: Floats  # (L,): 1 for those whose trigger has fired
+    tally: Floats  # (2 L,): the followers' rewards added up, whether one failed
+    before: Floats  # (2 L,): the leader's planar velocity before the tick, m/s
+    refs: Floats  # (16 L,): the leader's reference, and nothing
+    body: Floats  # (16 L,): a vehicle before a substep close to the floor
+    counts: NDArray[np.uint64]  # (L,): numbers of the samples to be taken
+    seen: Floats  # (T, n+1, 16 L): the measurements in hand; (1, n+1, 16 L) where they are late
+    actions: Floats  # (n, 4 L): as executed
+    commands: Floats  # (n+1, 4 L): thrust and turn of each vehicle
+    touches: Floats  # (n+1, 3 L): speed, uprightness of the hardest touch-down; touching now
+    outcomes: Floats  # (n, 15 L): `OUTPUTS`, then the squares of slot error and separation
+    nearest: Floats  # (K+1, 2 L): neighbours by squared distance and number; a candidate
+    rows: NDArray[np.float32]  # (entries L,): an observation
+    saved: Floats  # all vehicles and measurements of a tile some of whose worlds do not step
 
 
 class Results(NamedTuple):
@@ -94,15 +109,31 @@ class Results(NamedTuple):
 
     observations: NDArray[np.float32]  # (W, n, entries)
     outputs: Floats  # (W, n, len(OUTPUTS))
-    rewards: Floats  # (W,), the followers' mean
-    terminated: NDArray[np.bool_]  # (W,)
-    truncated: NDArray[np.bool_]  # (W,)
+    ends: Floats  # (3, W): the followers' mean reward; 1 where terminated; 1 where truncated
     final_observations: NDArray[np.float32]  # as observations, empty unless asked for
     final_outputs: Floats
 
+    @property
+    def rewards(self) -> Floats:
+        """The followers' mean reward, `(W,)`."""
+        rewards: Floats = self.ends[0]
+        return rewards
+
+    @property
+    def terminated(self) -> NDArray[np.bool_]:
+        """`(W,)`."""
+        flags: NDArray[np.bool_] = np.not_equal(self.ends[1], 0.0)
+        return flags
+
+    @property
+    def truncated(self) -> NDArray[np.bool_]:
+        """`(W,)`."""
+        flags: NDArray[np.bool_] = np.not_equal(self.ends[2], 0.0)
+        return flags
+
 
 class Sizes(NamedTuple):
-    """The numbers that say how long everything is, and a few more constants: one integer array."""
+    """The numbers that say how long everything is, and a few more constants."""
 
     worlds: int
     tiles: int
@@ -121,18 +152,9 @@ class Sizes(NamedTuple):
     max_steps: int
 
 
+REFERENCE_ROW = 16  # p, v, a, j, s and a number that makes it a whole number of vectors
+_SIZES = len(Sizes._fields)
 MAX_STEPS = Sizes._fields.index("max_steps")
-
-
-class Memory(NamedTuple):
-    """Everything in a few flat arrays: each array handed to a kernel costs 0.1 us."""
-
-    floats: Floats  # State's, one after the other
-    counters: NDArray[np.int64]  # (W, 6)
-    keys: NDArray[np.uint64]  # (2, T L)
-    constants: Floats  # Constants', one after the other
-    bound: NDArray[np.float32]
-    sizes: NDArray[np.int64]  # Sizes
 
 
 class Settings(NamedTuple):
@@ -150,15 +172,14 @@ def flatten(value: Any) -> list[float]:
     return [float(value)]
 
 
-def allocate(config: FormationConfig, worlds: int, max_steps: int, references: Floats) -> Memory:
-    """Memory for `worlds` worlds that have not been reset yet."""
+def allocate(config: FormationConfig, worlds: int, max_steps: int, references: Floats) -> Floats:
+    """Memory for `worlds` worlds that have not been reset yet: `Sizes`, `Constants`, `State`."""
     n, clock, path = config.followers, config.world.clock, config.trajectory
     drawing = np.zeros(0) if path.random is None else np.array(path.random, dtype=np.float64)
     settings = np.array(flatten(Settings(config.world, config.reward, config.limits)))
-    fixed = (settings, config.offsets, config.ground_starts(), drawing, references)
     sizes = Sizes(
         worlds,
-        -(-worlds // LANES),
+        tiles(worlds),
         n + 1,
         clock.delay + 1,
         clock.window,
@@ -173,115 +194,195 @@ def allocate(config: FormationConfig, worlds: int, max_steps: int, references: F
         config.action_size,
         max_steps,
     )
-    lanes = sizes.tiles * LANES
-    floats = lanes * (16 * (n + 1) * (clock.delay + 2) + 14 * n + 5)
-    floats += worlds * clock.window * 3 + sizes.tables * sizes.table
-    memory = Memory(
-        np.zeros(floats),
-        np.zeros((worlds, 6), dtype=np.int64),
-        np.zeros((2, sizes.tiles * LANES), dtype=np.uint64),
-        np.concatenate([np.ravel(x) for x in fixed]).astype(np.float64),
-        config.layout.bound,
-        np.array(sizes, dtype=np.int64),
+    lengths = plain(_constant_lengths)(sizes), plain(_state_lengths)(sizes)
+    flat = np.zeros(len(sizes) + sum(lengths[0]) + sum(lengths[1]))
+    size_numbers(flat)[:] = sizes
+    constants, state = views(flat)
+    fixed: tuple[Floats, ...] = (
+        settings,
+        config.offsets,
+        config.ground_starts(),
+        drawing,
+        references,
     )
-    memory.counters[:, EPISODE] = -1
-    memory.counters[:, OVER] = 1
-    state = views(memory)
+    for array, values in zip(constants, fixed, strict=True):
+        array[...] = np.asarray(values)
+    state.counters[:, EPISODE] = -1
+    state.counters[:, OVER] = 1
     state.tables[:] = path.table
     # Lanes without a world are computed all the same: with an attitude, so that nothing divides by 0.
-    state.vehicles[:, :, 6] = 1.0
-    state.samples[:, :, :, 9] = 1.0
-    return memory
+    state.vehicles[:, :, 6 * LANES : 7 * LANES] = 1.0
+    state.samples[:, :, :, 9 * LANES : 10 * LANES] = 1.0
+    return flat
 
 
-def room_size(config: FormationConfig) -> int:
-    """How many numbers `Scratch` needs."""
-    n, entries = config.followers, config.layout.size
-    rows = 3 + 2 + 15 + 16 * (n + 1) + 4 * n + 7 * (n + 1) + 14 * n + CORE
-    return LANES * (rows + 9 * (config.neighbours + 1) + entries)
+def scratch(memory: Floats) -> Floats:
+    """Room for one thread to work in."""
+    return np.zeros(sum(plain(_scratch_lengths)(size_numbers(memory))))
 
 
-def results(config: FormationConfig, worlds: int, final: bool) -> tuple[Results, tuple[Any, ...]]:
-    """Fresh arrays for one call, and the fewer ones that a kernel takes; zero but for observations."""
-    n, size, width = config.followers, config.layout.size, len(OUTPUTS)
-    spare = worlds if final else 0
-    observations = np.empty((worlds, n, size), dtype=np.float32)
-    floats = np.zeros(worlds * (n * width + 1))
-    flags = np.zeros((2, worlds), dtype=np.bool_)
-    last = _NOTHING if not final else np.zeros((spare, n, size), dtype=np.float32)
-    last_outputs = _NO_OUTPUTS if not final else np.zeros((spare, n, width))
-    outputs = floats[worlds:].reshape(worlds, n, width)
-    named = Results(observations, outputs, floats[:worlds], flags[0], flags[1], last, last_outputs)
-    return named, (observations, floats, flags, last, last_outputs)
+@final
+class Shapes:
+    """Of what one call returns, for the fewest operations in a step of a lone world."""
+
+    def __init__(self, config: FormationConfig, worlds: int) -> None:
+        self.observations = (worlds, config.followers, config.layout.size)
+        self.outputs = (worlds, config.followers, len(OUTPUTS))
+        self.ends = (3, worlds)
+
+    def results(self, final: bool) -> Results:
+        """Fresh arrays; the kernel fills them all but those of episodes that did not end."""
+        seen, told = np.empty(self.observations, _SINGLE), np.empty(self.outputs)
+        if not final:
+            return Results(seen, told, np.empty(self.ends), _NOTHING, _NO_OUTPUTS)
+        last = np.zeros(self.observations, _SINGLE), np.zeros(self.outputs)
+        return Results(seen, told, np.empty(self.ends), *last)
 
 
-_NOTHING = np.zeros((0, 0, 0), dtype=np.float32)
+_SINGLE = np.dtype(np.float32)
+_NOTHING = np.zeros((0, 0, 0), _SINGLE)
 _NO_OUTPUTS = np.zeros((0, 0, len(OUTPUTS)))
 
 
-def views(memory: Memory) -> State:
-    """The state in Python: views by name."""
-    opened: State = plain(open_state)(memory.floats, memory.counters, memory.keys, memory.sizes)
-    return opened
+def tiles(worlds: int) -> int:
+    """How many tiles hold so many worlds."""
+    return -(-worlds // LANES)
+
+
+def views(memory: Floats) -> tuple[Constants, State]:
+    """What lies in the memory, by name."""
+    return plain(open_constants)(memory), plain(open_state)(memory)
 
 
 # -- opening flat memory --------------------------------------------------------------------------
 
 
 @device
-def open_state(floats: Floats, counters: Any, keys: Any, sizes: Any) -> State:
-    """The arrays of `State` in flat memory."""
-    T, V, D, N, W = sizes[1], sizes[2], sizes[3], sizes[4], sizes[0]
-    a = T * V * 16 * LANES
-    b = a + a * D
-    d = b + T * (V - 1) * 14 * LANES
-    e = d + W * N * 3
-    f = e + T * 2 * LANES
-    g = f + T * 3 * LANES
-    return State(
-        floats[:a].reshape(T, V, 16, LANES),
-        floats[a:b].reshape(T, V, D, 16, LANES),
-        floats[b:d].reshape(T, V - 1, 14, LANES),
-        floats[d:e].reshape(W, N, 3),
-        floats[e:f].reshape(T, 2, LANES),
-        floats[f:g].reshape(T, 3, LANES),
-        floats[g:].reshape(sizes[5], sizes[6]),
-        counters,
-        keys[0],
-        keys[1],
-    )
+def size_numbers(memory: Any) -> Any:
+    """The head of the memory, `Sizes`."""
+    return carve(memory, 0, (_SIZES,)).view(np.int64)
 
 
 @device
-def open_constants(numbers: Floats, bound: Any, sizes: Any) -> Constants:
-    """The arrays of `Constants` in flat memory."""
-    n = sizes[2] - 1
-    a = sizes[7]
-    b = a + 3 * n
-    d = b + 3 * (n + 1)
-    e = d + sizes[8]
+def _constant_lengths(z: Any) -> tuple[int, int, int, int, int]:
+    return (z[7], 3 * (z[2] - 1), 3 * z[2], z[8], REFERENCE_ROW * z[9])
+
+
+@device
+def open_constants(memory: Any) -> Constants:
+    """The arrays of `Constants` in the memory."""
+    z = size_numbers(memory)
+    lengths = _constant_lengths(z)
+    a = _SIZES + lengths[0]
+    b = a + lengths[1]
+    d = b + lengths[2]
+    e = d + lengths[3]
     return Constants(
-        numbers[:a],
-        numbers[a:b].reshape(n, 3),
-        numbers[b:d].reshape(n + 1, 3),
-        numbers[d:e],
-        numbers[e:].reshape(sizes[9], 15),
-        bound,
-        sizes[11],
-        sizes[12],
-        sizes[13],
-        sizes[14],
+        carve(memory, _SIZES, (lengths[0],)),
+        carve(memory, a, (z[2] - 1, 3)),
+        carve(memory, b, (z[2], 3)),
+        carve(memory, d, (lengths[3],)),
+        carve(memory, e, (z[9], REFERENCE_ROW)),
     )
 
 
 @device
-def open_results(
-    observations: Any, floats: Floats, flags: Any, last: Any, last_outputs: Any, sizes: Any
-) -> Results:
-    """The arrays of `Results` as `results` made them."""
-    W, n = sizes[0], sizes[2] - 1
-    outputs = floats[W:].reshape(W, n, len(OUTPUTS))
-    return Results(observations, outputs, floats[:W], flags[0], flags[1], last, last_outputs)
+def _state_lengths(z: Any) -> tuple[int, int, int, int, int, int, int, int, int]:
+    lanes, n = z[1] * LANES, z[2] - 1
+    return (
+        16 * (n + 1) * lanes,
+        16 * (n + 1) * z[3] * lanes,
+        14 * n * lanes,
+        3 * z[0] * z[4],
+        2 * lanes,
+        3 * lanes,
+        z[5] * z[6],
+        6 * z[0],
+        2 * lanes,
+    )
+
+
+@device
+def open_state(memory: Any) -> State:
+    """The arrays of `State` in the memory."""
+    z = size_numbers(memory)
+    T, V, D = z[1], z[2], z[3]
+    fixed, lengths = _constant_lengths(z), _state_lengths(z)
+    o = _SIZES + fixed[0] + fixed[1] + fixed[2] + fixed[3] + fixed[4]
+    a = o + lengths[0]
+    b = a + lengths[1]
+    d = b + lengths[2]
+    e = d + lengths[3]
+    f = e + lengths[4]
+    g = f + lengths[5]
+    h = g + lengths[6]
+    keys = h + lengths[7]
+    return State(
+        carve(memory, o, (T, V, 16 * LANES)),
+        carve(memory, a, (T, V, D, 16 * LANES)),
+        carve(memory, b, (T, V - 1, 14 * LANES)),
+        carve(memory, d, (z[0], z[4], 3)),
+        carve(memory, e, (T, 2 * LANES)),
+        carve(memory, f, (T, 3 * LANES)),
+        carve(memory, g, (z[5], z[6])),
+        carve(carve(memory, h, (lengths[7],)).view(np.int64), 0, (z[0], 6)),
+        carve(memory, keys, (T * LANES,)).view(np.uint64),
+        carve(memory, keys + T * LANES, (T * LANES,)).view(np.uint64),
+    )
+
+
+@device
+def _scratch_lengths(z: Any) -> tuple[int, ...]:
+    """Of the small rows together, then one by one in the order of `Scratch`."""
+    V, K, L = z[2], z[12] + 1, LANES
+    n = V - 1
+    return (
+        (3 + 2 + 2 + 16 + 16 + 1) * L,
+        16 * V * L,
+        4 * n * L,
+        4 * V * L,
+        3 * V * L,
+        _OUTCOME * n * L,
+        2 * K * L,
+        z[10] * L // 2,
+        32 * V * L,
+    )
+
+
+@device
+def open_scratch(room: Any, state: State, z: Any) -> Scratch:
+    """`Scratch` in a flat array of `scratch`; measurements that are not late are used in place."""
+    V, K, L = z[2], z[12] + 1, LANES
+    lengths = _scratch_lengths(z)
+    a = lengths[0]
+    b = a + lengths[1]
+    d = b + lengths[2]
+    e = d + lengths[3]
+    f = e + lengths[4]
+    g = f + lengths[5]
+    h = g + lengths[6]
+    i = h + lengths[7]
+    seen = carve(room, a, (1, V, 16 * L))
+    if z[3] == 1:
+        seen = carve(state.samples, 0, (z[1], V, 16 * L))
+    return Scratch(
+        carve(room, 0, (L,)),
+        carve(room, L, (L,)),
+        carve(room, 2 * L, (L,)),
+        carve(room, 3 * L, (2 * L,)),
+        carve(room, 5 * L, (2 * L,)),
+        carve(room, 7 * L, (16 * L,)),
+        carve(room, 23 * L, (16 * L,)),
+        carve(room, 39 * L, (L,)).view(np.uint64),
+        seen,
+        carve(room, b, (V - 1, 4 * L)),
+        carve(room, d, (V, 4 * L)),
+        carve(room, e, (V, 3 * L)),
+        carve(room, f, (V - 1, _OUTCOME * L)),
+        carve(room, g, (K, 2 * L)),
+        carve(room, h, (lengths[7],)).view(np.float32),
+        carve(room, i, (lengths[8],)),
+    )
 
 
 # -- loads and stores ---------------------------------------------------------------------------
@@ -290,19 +391,25 @@ def open_results(
 @device
 def vehicle(state: State, w: int, i: int) -> Any:
     """The 16 numbers of vehicle `i` of world `w`."""
-    return state.vehicles[w // LANES, i, :, w % LANES]
+    return state.vehicles[w // LANES, i, w % LANES :: LANES]
 
 
 @device
 def ring(state: State, w: int, i: int) -> Any:
     """The measurements of vehicle `i` of world `w`, `(D+1, 16)`."""
-    return state.samples[w // LANES, i, :, :, w % LANES]
+    return state.samples[w // LANES, i, :, w % LANES :: LANES]
 
 
 @device
 def follower(state: State, w: int, i: int) -> Any:
     """The 14 numbers of follower `i` of world `w`."""
-    return state.followers[w // LANES, i, :, w % LANES]
+    return state.followers[w // LANES, i, w % LANES :: LANES]
+
+
+@device
+def begin_of(state: State, w: int) -> Vector:
+    """The leader's first reference point in world `w`."""
+    return load(state.begins[w // LANES, w % LANES :: LANES], 0)
 
 
 @device
@@ -412,5 +519,6 @@ def episode_key(key: Any, episode: int) -> Any:
 
 
 def by_world(tiles: NDArray[Any], worlds: int) -> NDArray[Any]:
-    """An array `(T, ..., L)` of tiles as `(worlds, ...)`, a copy."""
-    return np.moveaxis(tiles, -1, 1).reshape(-1, *tiles.shape[1:-1])[:worlds].copy()
+    """An array `(T, ..., rows L)` of tiles as `(worlds, ..., rows)`, a copy."""
+    split = tiles.reshape(*tiles.shape[:-1], tiles.shape[-1] // LANES, LANES)
+    return np.moveaxis(split, -1, 1).reshape(-1, *split.shape[1:-1])[:worlds].copy()

@@ -1,6 +1,6 @@
 """Many worlds: threads, reset, seeding, saving.
 
-With `kernels`, `lanes`, `looking` and `memory` it is the layer that knows the layout.
+With `kernels`, `lanes`, `blocks` and `memory` it is the layer that knows the layout.
 
 Every face steps worlds through the one compiled kernel `advance`, and threads call that same
 machine code on disjoint ranges of worlds. A world's numbers depend on its key, its actions and
@@ -23,7 +23,7 @@ from formation_env.config import FormationConfig
 from formation_env.memory import CLOCK, EPISODE, OVER, SLOT, STARTED, TICK, Floats, Results
 from formation_env.task import Layout
 
-# Below this many vehicles in a call a second thread costs more than it saves.
+# Each thread flies at least about so many.
 _VEHICLES_PER_THREAD = 4096
 
 
@@ -53,15 +53,20 @@ class Simulation:
         self.max_steps = config.max_steps if max_steps is None else min(max_steps, config.max_steps)
         self.num_worlds = num_worlds
         self.threads = max(1, min(threads, num_worlds))
+        self._tiles = memory.tiles(num_worlds)
+        # A second thread has to have enough to do; below that it would cost more than it saves.
+        work = 1 + num_worlds * (config.followers + 1) // _VEHICLES_PER_THREAD
+        self._threads = min(self.threads, self._tiles, work)
+        self._results = memory.Shapes(config, num_worlds).results
         self.layout: Layout = config.layout
-        references = np.zeros((0, 15))
+        references = np.zeros((0, memory.REFERENCE_ROW))
         if config.trajectory.random is None:
             kind, table = config.trajectory.kind, config.trajectory.table
             period = float(config.control_period)
             references = kernels.reference_table(kind, table, period, config.max_steps)
         self._memory = memory.allocate(config, num_worlds, self.max_steps, references)
-        self._state = memory.views(self._memory)
-        self._rooms = [np.zeros(memory.room_size(config)) for _ in range(self.threads)]
+        self._state = memory.views(self._memory)[1]
+        self._rooms = [memory.scratch(self._memory) for _ in range(self.threads)]
         self._everyone = np.ones(num_worlds, dtype=np.bool_)
         self._pool: ThreadPoolExecutor | None = None
         self._pool_owner = 0
@@ -84,14 +89,6 @@ class Simulation:
         if not actions.flags.carray:
             # Another layout or a read-only array would be another type, compiled for anew.
             actions = np.array(actions, order="C")
-        bad = kernels.first_bad_action(actions)
-        if bad >= 0:
-            world, follower = divmod(bad, self.config.followers)
-            where = f" of world {world}" if self.num_worlds > 1 else ""
-            raise ValueError(
-                f"action of follower_{follower}{where} = {actions[world, follower].tolist()}: "
-                "expected finite numbers"
-            )
         return self._run(mode, actions, mask)
 
     def look(self) -> Results:
@@ -104,27 +101,35 @@ class Simulation:
 
     def _run(self, mode: int, actions: NDArray[np.float32], mask: Any) -> Results:
         mask = self._everyone if mask is None else mask
-        final = mode == kernels.STEP_AND_RESET
-        results, arrays = memory.results(self.config, self.num_worlds, final)
-        arguments: tuple[Any, ...] = (mode, actions, mask, *self._memory, *arrays)
+        results = self._results(mode == kernels.STEP_AND_RESET)
+        tiles, threads = self._tiles, self._threads
+        arguments: tuple[Any, ...] = (mode, actions, mask, self._memory)
         advance: Any = kernels.advance
-        tiles = len(self._state.vehicles)
-        threads = self.threads
-        if threads > 1:
-            vehicles = self.num_worlds * (self.config.followers + 1)
-            threads = min(threads, tiles, 1 + vehicles // _VEHICLES_PER_THREAD)
         if threads == 1:
-            advance(0, tiles, *arguments, self._rooms[0])
+            bad = advance(0, tiles, *arguments, self._rooms[0], *results)
+            if bad >= 0:
+                raise self._not_finite(actions, bad)
             return results
+        bad = kernels.first_bad_action(actions)
+        if bad >= 0:
+            raise self._not_finite(actions, bad)
         edges = [tiles * i // threads for i in range(threads + 1)]
         jobs = [
-            self._executor().submit(advance, *(a, b, *arguments, room))
+            self._executor().submit(advance, *(a, b, *arguments, room, *results))
             for (a, b), room in zip(pairwise(edges[1:]), self._rooms[1:], strict=False)
         ]
-        advance(edges[0], edges[1], *arguments, self._rooms[0])
+        advance(edges[0], edges[1], *arguments, self._rooms[0], *results)
         for job in jobs:
             job.result()
         return results
+
+    def _not_finite(self, actions: NDArray[np.float32], bad: int) -> ValueError:
+        world, follower = divmod(bad, self.config.followers)
+        where = f" of world {world}" if self.num_worlds > 1 else ""
+        return ValueError(
+            f"action of follower_{follower}{where} = {actions[world, follower].tolist()}: "
+            "expected finite numbers"
+        )
 
     def _executor(self) -> ThreadPoolExecutor:
         # A pool does not survive a fork: its threads are not in the child.
@@ -142,29 +147,33 @@ class Simulation:
     def limit(self, max_steps: int) -> None:
         """Truncate episodes after so many ticks, or at the configured duration if that is earlier."""
         self.max_steps = min(max_steps, self.config.max_steps)
-        self._memory.sizes[memory.MAX_STEPS] = self.max_steps
+        memory.size_numbers(self._memory)[memory.MAX_STEPS] = self.max_steps
 
     # -- looking in -------------------------------------------------------------------------------
 
     @property
+    def _vehicles(self) -> Floats:
+        return memory.by_world(self._state.vehicles, self.num_worlds)
+
+    @property
     def positions(self) -> Floats:
         """True positions, `(num_worlds, 1 + followers, 3)`, m, inertial; the leader first."""
-        return memory.by_world(self._state.vehicles[:, :, 0:3], self.num_worlds)
+        return self._vehicles[..., 0:3]
 
     @property
     def velocities(self) -> Floats:
         """True velocities, same shape, m/s, inertial."""
-        return memory.by_world(self._state.vehicles[:, :, 3:6], self.num_worlds)
+        return self._vehicles[..., 3:6]
 
     @property
     def attitudes(self) -> Floats:
         """True attitudes, `(num_worlds, 1 + followers, 4)`, quaternions (w, x, y, z)."""
-        return memory.by_world(self._state.vehicles[:, :, 6:10], self.num_worlds)
+        return self._vehicles[..., 6:10]
 
     @property
     def angular_velocities(self) -> Floats:
         """True angular velocities, `(num_worlds, 1 + followers, 3)`, rad/s, body."""
-        return memory.by_world(self._state.vehicles[:, :, 10:13], self.num_worlds)
+        return self._vehicles[..., 10:13]
 
     @property
     def slots(self) -> Floats:
@@ -241,7 +250,7 @@ class Simulation:
 
     def __setstate__(self, saved: dict[str, Any]) -> None:
         self.__dict__.update(saved)
-        self._state = memory.views(self._memory)
+        self._state = memory.views(self._memory)[1]
 
 
 def stream_key(generator: np.random.Generator) -> int:

@@ -57,28 +57,31 @@ class Entry(NamedTuple):
     meaning: str
 
 
+# Bounds that entries are clipped to: m, m; m/s, m/s^2 or rad/s; 1.
+NEAR, ANYWHERE, RATE_BOUND, UNIT = 1e3, 1e4, 100.0, 1.0
+
 ENTRIES = (
-    Entry("slot_error", 3, 1e3, "m", "{F}", "R^T(p_L - p) - d: (7) for the vehicle itself"),
-    Entry("relative_velocity", 3, 100.0, "m/s", "{F}", "leader's velocity minus own"),
-    Entry("leader_velocity", 3, 100.0, "m/s", "{F}", "leader's velocity"),
-    Entry("leader_acceleration", 3, 100.0, "m/s^2", "{F}", "leader's acceleration"),
-    Entry("body_x", 3, 1.0, "1", "{F}", "first body axis r1"),
-    Entry("body_z", 3, 1.0, "1", "{F}", "third body axis r3; thrust acts along -r3"),
-    Entry("angular_velocity", 3, 100.0, "rad/s", "body", "omega"),
-    Entry("heading", 2, 1.0, "1", "inertial", "cos and sin of the estimated theta (23)"),
-    Entry("offset", 3, 1e3, "m", "{F}", "d, where the leader should be seen"),
-    Entry("previous_action", 4, 1.0, "1", "-", "last action as executed, padded with zeros"),
-    Entry("started", 1, 1.0, "1", "-", "1 once the trigger (40) has fired"),
-    Entry("position", 3, 1e4, "m", "inertial", "own measured position, north-east-down"),
+    Entry("slot_error", 3, NEAR, "m", "{F}", "R^T(p_L - p) - d: (7) for the vehicle itself"),
+    Entry("relative_velocity", 3, RATE_BOUND, "m/s", "{F}", "leader's velocity minus own"),
+    Entry("leader_velocity", 3, RATE_BOUND, "m/s", "{F}", "leader's velocity"),
+    Entry("leader_acceleration", 3, RATE_BOUND, "m/s^2", "{F}", "leader's acceleration"),
+    Entry("body_x", 3, UNIT, "1", "{F}", "first body axis r1"),
+    Entry("body_z", 3, UNIT, "1", "{F}", "third body axis r3; thrust acts along -r3"),
+    Entry("angular_velocity", 3, RATE_BOUND, "rad/s", "body", "omega"),
+    Entry("heading", 2, UNIT, "1", "inertial", "cos and sin of the estimated theta (23)"),
+    Entry("offset", 3, NEAR, "m", "{F}", "d, where the leader should be seen"),
+    Entry("previous_action", 4, UNIT, "1", "-", "last action as executed, padded with zeros"),
+    Entry("started", 1, UNIT, "1", "-", "1 once the trigger (40) has fired"),
+    Entry("position", 3, ANYWHERE, "m", "inertial", "own measured position, north-east-down"),
 )
 REFERENCE_ENTRIES = (
-    Entry("guide_position", 3, 1e3, "m", "{F}", "virtual follower's position minus own"),
-    Entry("guide_velocity", 3, 100.0, "m/s", "{F}", "virtual follower's velocity minus own"),
+    Entry("guide_position", 3, NEAR, "m", "{F}", "virtual follower's position minus own"),
+    Entry("guide_velocity", 3, RATE_BOUND, "m/s", "{F}", "virtual follower's velocity minus own"),
 )
 NEIGHBOUR_ENTRIES = (
-    Entry("neighbour_present", 1, 1.0, "1", "-", "1 if there is such a neighbour"),
-    Entry("neighbour_position", 3, 1e3, "m", "{F}", "its position minus own"),
-    Entry("neighbour_velocity", 3, 100.0, "m/s", "{F}", "its velocity minus own"),
+    Entry("neighbour_present", 1, UNIT, "1", "-", "1 if there is such a neighbour"),
+    Entry("neighbour_position", 3, NEAR, "m", "{F}", "its position minus own"),
+    Entry("neighbour_velocity", 3, RATE_BOUND, "m/s", "{F}", "its velocity minus own"),
 )
 
 CORE = sum(entry.size for entry in ENTRIES)

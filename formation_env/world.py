@@ -23,13 +23,10 @@ from formation_env.quadrotor import (
     MOMENT,
     Airframe,
     Body,
-    Contact,
     Wrench,
     acceleration,
-    fly,
     moment,
     saturate,
-    touch_floor,
 )
 from formation_env.rng import GUST, START, normals, uniforms
 from formation_env.sensors import Measured, Noise
@@ -163,14 +160,6 @@ def gust(before: Vector, gusts: Gusts, key: int, who: int, tick: int) -> Vector:
         gusts.keep * before[1] + gusts.kick * n[1],
         gusts.keep * before[2] + gusts.kick * n[2],
     )
-
-
-@device
-def substep(
-    body: Body, applied: Wrench, push: Vector, h: float, actuation: int, airframe: Airframe
-) -> tuple[Body, Contact]:
-    """Fly for `h` seconds, then keep the vehicle above the floor."""
-    return touch_floor(fly(body, applied, push, h, actuation, airframe), body)
 
 
 @device

@@ -228,8 +228,7 @@ def test_the_loops_over_lanes_are_vector_code() -> None:
         "c = configure('paper')\n"
         "flat = memory.flatten(memory.Settings(c.world, c.reward, c.limits))\n"
         "frame = memory.plain(memory.unpack)(np.array(flat)).world.airframe\n"
-        "x, command, touch = np.ones(256), np.ones(64), np.ones(48)\n"
-        "lanes.fly_by_moment(x, command, touch, np.ones(16), 0.005, frame)\n"
+        "lanes.fly_by_moment(np.ones(256), np.ones(64), 0.005, frame)\n"
         "code = next(iter(lanes.fly_by_moment.inspect_asm().values()))\n"
         "print(code.count('mulpd') + code.count('.2d'))\n"
     )
