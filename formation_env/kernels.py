@@ -416,6 +416,7 @@ def _fly(state: State, t: int, room: Scratch, s: World) -> None:
     h = s.clock.period / s.clock.substeps
     plain = _plain(s)
     counts = np.zeros(LANES, dtype=np.uint64)
+    draws = room.row.view(np.float32)
     if plain and not silent(s.noise):
         for lane in range(min(LANES, len(state.counters) - t * LANES)):
             counts[lane] = state.counters[t * LANES + lane, TICK] + 1
@@ -441,7 +442,7 @@ def _fly(state: State, t: int, room: Scratch, s: World) -> None:
             else:
                 keys = state.episode_keys[t * LANES : (t + 1) * LANES]
                 air, noise, active = s.airframe, s.noise, room.active
-                sense(x, commands, touches, active, sample, air, noise, keys, counts, i)
+                sense(x, commands, touches, active, sample, air, noise, keys, counts, i, draws)
 
 
 @device

@@ -14,7 +14,8 @@ import numpy as np
 from formation_env._jit import device, loop
 from formation_env.memory import ESTIMATE, GUIDE_P, GUIDE_V, HEADING, LANES, PREVIOUS
 from formation_env.quadrotor import MOMENT, RATES, Airframe, Body, Wrench, saturate
-from formation_env.sensors import Measured, Noise, corrupt
+from formation_env.rng import MEASUREMENT, Four, as_single, normal_pair, words
+from formation_env.sensors import Measured, Noise, perturb
 from formation_env.slots import advance_heading, slot
 from formation_env.so3 import Vector, dot, pick, pick_vector, sub
 from formation_env.task import (
@@ -31,6 +32,7 @@ from formation_env.trajectories import Reference
 from formation_env.world import Action, Guide, World, driven, motion, substep, track, truth
 
 _LANES = np.uint64(LANES)
+_PAIRS = np.uint64(8 * LANES)
 
 
 @device
@@ -159,6 +161,57 @@ def sense_exactly(
 
 
 @loop
+def draw(keys: Any, counts: Any, who: int, block: int, draws: Any) -> None:
+    """One block of words for a measurement: the first two of its row of pairs, the others 8 rows on."""
+    for lane in range(_LANES):
+        a, b, c, d = words(keys[lane], MEASUREMENT, who, counts[lane], block)
+        draws[at(2 * block, lane)] = as_single(a)
+        draws[at(2 * block + 1, lane)] = as_single(b)
+        draws[at(2 * block + 8, lane)] = as_single(c)
+        draws[at(2 * block + 9, lane)] = as_single(d)
+
+
+@loop
+def make_normal(draws: Any) -> None:
+    """Normal numbers in place of the words: rows 0-7 and 8-15 are the pairs."""
+    for k in range(_PAIRS):
+        draws[k], draws[k + _PAIRS] = normal_pair(draws[k], draws[k + _PAIRS])
+
+
+@device
+def _normals(draws: Any, block: int, lane: Any) -> Four:
+    """What `rng.normals` returns for a block."""
+    return (
+        np.float64(draws[at(2 * block, lane)]),
+        np.float64(draws[at(2 * block + 8, lane)]),
+        np.float64(draws[at(2 * block + 1, lane)]),
+        np.float64(draws[at(2 * block + 9, lane)]),
+    )
+
+
+@loop
+def add_noise(
+    x: Any,
+    command: Any,
+    touch: Any,
+    active: Any,
+    sample: Any,
+    frame: Airframe,
+    noise: Noise,
+    draws: Any,
+) -> None:
+    """A measurement with noise made of the normal numbers in `draws`, in the active lanes."""
+    for lane in range(_LANES):
+        q = _four(x, 6, lane)
+        body = Body(_load(x, 0, lane), _load(x, 3, lane), q, _load(x, 10, lane))
+        applied = Wrench(command[lane], _load(command, 1, lane))
+        exact = truth(body, applied, _load(x, 13, lane), touch[at(2, lane)] > 0.0, frame)
+        n0, n1 = _normals(draws, 0, lane), _normals(draws, 1, lane)
+        n2, n3 = _normals(draws, 2, lane), _normals(draws, 3, lane)
+        _keep_sample(sample, lane, active[lane] > 0.0, perturb(exact, noise, n0, n1, n2, n3))
+
+
+@device
 def sense(
     x: Any,
     command: Any,
@@ -170,15 +223,18 @@ def sense(
     keys: Any,
     counts: Any,
     who: int,
+    draws: Any,
 ) -> None:
-    """A noisy measurement, number `counts`, of vehicle `who`, in the active lanes."""
-    for lane in range(_LANES):
-        q = _four(x, 6, lane)
-        body = Body(_load(x, 0, lane), _load(x, 3, lane), q, _load(x, 10, lane))
-        applied = Wrench(command[lane], _load(command, 1, lane))
-        exact = truth(body, applied, _load(x, 13, lane), touch[at(2, lane)] > 0.0, frame)
-        m = corrupt(exact, noise, keys[lane], who, counts[lane])
-        _keep_sample(sample, lane, active[lane] > 0.0, m)
+    """A noisy measurement, number `counts`, of vehicle `who`, in the active lanes.
+
+    It is `sensors.corrupt` in steps with room between them: `draws`, 16 rows of float32. In one loop the
+    constants of Philox and of the polynomials exceed the registers, and the float64 of the measurement
+    would halve the width of the float32, which together doubles the time.
+    """
+    for block in range(4):
+        draw(keys, counts, who, block, draws)
+    make_normal(draws)
+    add_noise(x, command, touch, active, sample, frame, noise, draws)
 
 
 @device
