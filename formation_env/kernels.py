@@ -435,7 +435,8 @@ def _fly(state: State, t: int, room: Scratch, s: World) -> None:
                 sense_exactly(x, command, touch, sample, s.airframe)
             else:
                 keys = state.episode_keys[t * LANES : (t + 1) * LANES]
-                sense(x, command, touch, sample, s.airframe, s.noise, keys, room.counts, i)
+                noise, counts, draws = s.noise, room.counts, room.draws
+                sense(x, command, touch, sample, s.airframe, noise, keys, counts, i, draws)
 
 
 @device

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from formation_env._jit import device, plain
 from formation_env.blocks import LANES, carve
@@ -94,6 +94,7 @@ class Scratch(NamedTuple):
     refs: Floats  # (16 L,): the leader's reference, and nothing
     body: Floats  # (16 L,): a vehicle before a substep close to the floor
     counts: NDArray[np.uint64]  # (L,): numbers of the samples to be taken
+    draws: NDArray[np.float32]  # (16 L,): normal numbers
     seen: Floats  # (T, n+1, 16 L): the measurements in hand; (1, n+1, 16 L) where they are late
     actions: Floats  # (n, 4 L): as executed
     commands: Floats  # (n+1, 4 L): thrust and turn of each vehicle
@@ -198,7 +199,7 @@ def allocate(config: FormationConfig, worlds: int, max_steps: int, references: F
     flat = np.zeros(len(sizes) + sum(lengths[0]) + sum(lengths[1]))
     size_numbers(flat)[:] = sizes
     constants, state = views(flat)
-    fixed: tuple[Floats, ...] = (
+    fixed = (
         settings,
         config.offsets,
         config.ground_starts(),
@@ -337,7 +338,7 @@ def _scratch_lengths(z: Any) -> tuple[int, ...]:
     V, K, L = z[2], z[12] + 1, LANES
     n = V - 1
     return (
-        (3 + 2 + 2 + 16 + 16 + 1) * L,
+        (3 + 2 + 2 + 16 + 16 + 1 + 8) * L,
         16 * V * L,
         4 * n * L,
         4 * V * L,
@@ -374,6 +375,7 @@ def open_scratch(room: Any, state: State, z: Any) -> Scratch:
         carve(room, 7 * L, (16 * L,)),
         carve(room, 23 * L, (16 * L,)),
         carve(room, 39 * L, (L,)).view(np.uint64),
+        carve(room, 40 * L, (8 * L,)).view(np.float32),
         seen,
         carve(room, b, (V - 1, 4 * L)),
         carve(room, d, (V, 4 * L)),

@@ -10,13 +10,13 @@ Source: J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, "Parallel random num
 
 from __future__ import annotations
 
-from math import sqrt
+from math import pi
 from typing import Any
 
 import numpy as np
 
 from formation_env._jit import device
-from formation_env.elementary import log_of_unit, sin_cos_of_turn
+from formation_env.elementary import Single, log_of_unit, sin_cos_of_octant
 
 Four = tuple[float, float, float, float]
 
@@ -41,14 +41,14 @@ def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, A
 
 
 @device
-def uniforms(key: int, purpose: int, who: int, when: int, block: int) -> Four:
-    """Four numbers uniform in (0, 1), never 0 or 1.
+def words(key: int, purpose: int, who: int, when: int, block: int) -> tuple[Any, Any, Any, Any]:
+    """Four random words of 32 bits.
 
     `key` identifies the episode, `purpose` what for, `who` the vehicle, `when` the tick or sample
     (each below 2^32) and `block` distinguishes several draws of the same kind.
     """
     k = np.uint64(key)
-    a, b, c, d = philox(
+    return philox(
         np.uint64(when),
         np.uint64(who),
         np.uint64(purpose),
@@ -56,6 +56,12 @@ def uniforms(key: int, purpose: int, who: int, when: int, block: int) -> Four:
         k & _LOW,
         k >> _HALF,
     )
+
+
+@device
+def uniforms(key: int, purpose: int, who: int, when: int, block: int) -> Four:
+    """Four numbers uniform in (0, 1), never 0 or 1: the words of this draw."""
+    a, b, c, d = words(key, purpose, who, when, block)
     return (
         (float(a) + 0.5) * _UNIT,
         (float(b) + 0.5) * _UNIT,
@@ -65,10 +71,33 @@ def uniforms(key: int, purpose: int, who: int, when: int, block: int) -> Four:
 
 
 @device
+def as_single(word: Any) -> Any:
+    """A word as the nearest float32; through int64, from which there is a vector instruction."""
+    return Single(np.int64(word))
+
+
+@device
+def normal_pair(a: Any, b: Any) -> tuple[Any, Any]:
+    """Two independent standard normal numbers in float32 from two words `as_single` (Box and Muller).
+
+    With `u`, `v` uniform the radius is `sqrt(-2 log u)`. The angle is that of the middle of a quadrant
+    plus a `turn` of up to 45 degrees: its cosine and sine are `(cos -+ sin) / sqrt(2)` of the turn with
+    a sign each, and nothing has to be reduced or swapped. The signs are those of `v - 1/2` and of
+    `|v - 1/2| - 1/4`, and what is left is the turn. A `u` near zero keeps its digits in float32, so
+    that the tails are those of 32 bits: 6.7 standard deviations.
+    """
+    u, v = (a + Single(0.5)) * Single(_UNIT), (b + Single(0.5)) * Single(_UNIT)
+    y = v - Single(0.5)
+    x = abs(y) - Single(0.25)
+    sine, cosine = sin_cos_of_octant((abs(x) - Single(0.125)) * Single(2.0 * pi))
+    r = np.sqrt(-log_of_unit(u))
+    return np.copysign(r * (cosine - sine), x), np.copysign(r * (cosine + sine), y)
+
+
+@device
 def normals(key: int, purpose: int, who: int, when: int, block: int) -> Four:
-    """Four standard normal numbers (Box-Muller on `uniforms`)."""
-    a, b, c, d = uniforms(key, purpose, who, when, block)
-    r, s = sqrt(-2.0 * log_of_unit(a)), sqrt(-2.0 * log_of_unit(b))
-    sin_x, cos_x = sin_cos_of_turn(c)
-    sin_y, cos_y = sin_cos_of_turn(d)
-    return (r * cos_x, r * sin_x, s * cos_y, s * sin_y)
+    """Four standard normal numbers, of the resolution of float32."""
+    a, b, c, d = words(key, purpose, who, when, block)
+    w, x = normal_pair(as_single(a), as_single(c))
+    y, z = normal_pair(as_single(b), as_single(d))
+    return (np.float64(w), np.float64(x), np.float64(y), np.float64(z))

@@ -15,15 +15,12 @@ from math import atan2, sqrt
 from typing import NamedTuple
 
 from formation_env._jit import device
-from formation_env.elementary import sin_cos
-from formation_env.rng import MEASUREMENT, normals
+from formation_env.rng import MEASUREMENT, Four, normals
 from formation_env.so3 import (
     Quaternion,
     Vector,
+    exponential,
     multiply,
-    norm,
-    normalise,
-    pick,
     scale,
     sub,
 )
@@ -67,30 +64,29 @@ def _perturb(a: Vector, deviation: float, x: float, y: float, z: float) -> Vecto
 
 
 @device
-def rotation_noise(a: Vector) -> Quaternion:
-    """`so3.exponential` of the rotation vector `a`, without a branch."""
-    angle = norm(a)
-    sine, cosine = sin_cos(0.5 * angle)
-    tiny = angle < 1e-9
-    s = pick(tiny, 0.5, sine / pick(tiny, 1.0, angle))
-    return (cosine, s * a[0], s * a[1], s * a[2])
+def perturb(truth: Measured, noise: Noise, n0: Four, n1: Four, n2: Four, n3: Four) -> Measured:
+    """The truth with white Gaussian noise from standard normal numbers."""
+    s = noise.attitude
+    turn = exponential((s * n2[1], s * n2[2], s * n2[3]))
+    return Measured(
+        _perturb(truth.p, noise.position, n0[0], n0[1], n0[2]),
+        _perturb(truth.v, noise.velocity, n0[3], n1[0], n1[1]),
+        _perturb(truth.a, noise.acceleration, n1[2], n1[3], n2[0]),
+        multiply(truth.q, turn),  # of unit quaternions: a unit quaternion to rounding
+        _perturb(truth.w, noise.angular_velocity, n3[0], n3[1], n3[2]),
+    )
 
 
 @device
 def corrupt(truth: Measured, noise: Noise, key: int, who: int, when: int) -> Measured:
     """The truth with white Gaussian noise; `who` is the vehicle, `when` the number of the sample."""
-    n0 = normals(key, MEASUREMENT, who, when, 0)
-    n1 = normals(key, MEASUREMENT, who, when, 1)
-    n2 = normals(key, MEASUREMENT, who, when, 2)
-    n3 = normals(key, MEASUREMENT, who, when, 3)
-    s = noise.attitude
-    turn = rotation_noise((s * n2[1], s * n2[2], s * n2[3]))
-    return Measured(
-        _perturb(truth.p, noise.position, n0[0], n0[1], n0[2]),
-        _perturb(truth.v, noise.velocity, n0[3], n1[0], n1[1]),
-        _perturb(truth.a, noise.acceleration, n1[2], n1[3], n2[0]),
-        normalise(multiply(truth.q, turn)),
-        _perturb(truth.w, noise.angular_velocity, n3[0], n3[1], n3[2]),
+    return perturb(
+        truth,
+        noise,
+        normals(key, MEASUREMENT, who, when, 0),
+        normals(key, MEASUREMENT, who, when, 1),
+        normals(key, MEASUREMENT, who, when, 2),
+        normals(key, MEASUREMENT, who, when, 3),
     )
 
 

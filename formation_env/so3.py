@@ -10,9 +10,11 @@ microseconds, on tuples nanoseconds, and the compiler can vectorise it across wo
 
 from __future__ import annotations
 
-from math import cos, sin, sqrt
+from math import sqrt
 
 from formation_env._jit import device
+from formation_env.elementary import pick as pick  # as `so3.pick` beside `pick_vector`
+from formation_env.elementary import sin_cos
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -119,9 +121,10 @@ def normalise(q: Quaternion) -> Quaternion:
 def exponential(a: Vector) -> Quaternion:
     """Unit quaternion of the rotation vector `a` (radians, `R = exp(S(a))`)."""
     angle = norm(a)
-    # sin(angle/2)/angle from its series near zero, where the quotient is 0/0.
-    s = 0.5 - angle * angle / 48.0 if angle < 1e-4 else sin(0.5 * angle) / angle
-    return (cos(0.5 * angle), s * a[0], s * a[1], s * a[2])
+    sine, cosine = sin_cos(0.5 * angle)
+    tiny = angle < 1e-9  # where sin(angle/2)/angle is 0/0, and 1/2 to the last digit around it
+    s = pick(tiny, 0.5, sine / pick(tiny, 1.0, angle))
+    return (cosine, s * a[0], s * a[1], s * a[2])
 
 
 @device
@@ -145,12 +148,6 @@ def level(q: Quaternion) -> Quaternion:
     none = n < 1e-12
     s = 1.0 / sqrt(pick(none, 1.0, n))
     return (pick(none, 1.0, s * w), 0.0, 0.0, pick(none, 0.0, s * z))
-
-
-@device
-def pick(condition: bool, a: float, b: float) -> float:
-    """`a` if the condition holds, else `b`; both are computed, so that the compiler can vectorise it."""
-    return a if condition else b
 
 
 @device

@@ -92,7 +92,7 @@ MUTANTS = [
     # Rotations.
     Mutant("so3", "2.0 * (x * y + w * z), 2.0", "2.0 * (x * y - w * z), 2.0"),
     Mutant("so3", "p[0] * q[2] - p[1] * q[3]", "p[0] * q[2] + p[1] * q[3]"),
-    Mutant("so3", "angle * angle / 48.0", "angle * angle / 24.0"),
+    Mutant("so3", "pick(tiny, 0.5, sine", "pick(tiny, 0.25, sine"),
     Mutant("so3", "(1.0 + r3[2], -r3[1], r3[0], 0.0)", "(1.0 + r3[2], r3[1], r3[0], 0.0)"),
     Mutant("so3", "a[2] * b[0] - a[0] * b[2]", "a[2] * b[0] + a[0] * b[2]"),
     # The rigid body: (41)-(46), actuators, step, floor.

@@ -67,6 +67,25 @@ def test_normals_are_normal_and_independent() -> None:
     assert np.abs(np.corrcoef((x**2).T) - np.eye(4)).max() < 0.03
 
 
+def pair(a: int, b: int) -> tuple[float, float]:
+    x, y = rng.normal_pair(rng.as_single(np.uint64(a)), rng.as_single(np.uint64(b)))
+    return float(x), float(y)
+
+
+def test_pairs_are_at_a_radius_and_an_angle() -> None:
+    """The radius is that of the first word alone, the angle goes once around with the second."""
+    last = 2**32 - 1
+    turns = np.arange(1000) * (2**32 // 1000) + 2**31 // 1000
+    for a in (0, 2**20, 2**31 - 2**7, 2**32 - 2**12):
+        x, y = np.array([pair(a, int(b)) for b in turns]).T
+        radius = np.sqrt(-2.0 * np.log(np.float32(a + 0.5) / 2.0**32))
+        np.testing.assert_allclose(np.hypot(x, y), radius, rtol=3e-7)
+        angles = np.sort(np.arctan2(y, x))
+        np.testing.assert_allclose(np.diff(angles), 2.0 * np.pi / 1000, rtol=1e-3)
+    assert np.hypot(*pair(0, 2**30)) > 6.7
+    assert pair(last, 2**30) == (0.0, 0.0)  # never the root of a negative number
+
+
 @pytest.mark.parametrize("vary", ["key", "purpose", "who", "when", "block"])
 def test_no_two_uses_share_a_number(vary: str) -> None:
     """Every argument matters: changing any of them changes all four numbers, without repeats."""

@@ -10,11 +10,11 @@ import numpy.typing as npt
 import pytest
 from scipy.spatial.transform import Rotation
 
-from formation_env import Limits, Noise, configure, trajectories
+from formation_env import Limits, Noise, configure, lanes, trajectories
 from formation_env.config import FormationConfig
 from formation_env.quadrotor import GRAVITY
 from formation_env.scenarios import PAPER_NOISE
-from formation_env.sensors import angular_difference
+from formation_env.sensors import Measured, angular_difference, corrupt
 from formation_env.simulation import Simulation
 
 FREE = Limits(collision=1e-3, impact=1e3, tilt=-1.0, lost=1e4)
@@ -118,6 +118,26 @@ def test_one_kind_of_noise_leaves_the_others_exact(field: str) -> None:
             np.testing.assert_array_equal(alone[entry], together[entry])
         else:
             np.testing.assert_array_equal(alone[entry], exact[entry])
+
+
+def test_noise_in_all_lanes_is_that_of_one_vehicle() -> None:
+    """`lanes.sense`, in steps over all lanes, against `sensors.corrupt`, bit for bit."""
+    n, noise, who = lanes.LANES, Noise(0.2, 0.1, 0.01, 0.3, 0.02), 2
+    draw = np.random.default_rng(4)
+    x = draw.normal(size=(16, n))
+    x[6:10] /= np.linalg.norm(x[6:10], axis=0)
+    keys, counts = draw.integers(0, 2**63, n).astype(np.uint64), np.arange(n, dtype=np.uint64)
+    frame = configure("paper").vehicle.airframe()
+    fixed = (x.ravel(), draw.normal(size=4 * n), np.zeros(3 * n))
+    exact, noisy, room = np.zeros(16 * n), np.zeros(16 * n), np.zeros(16 * n, np.float32)
+    lanes.sense_exactly(*fixed, exact, frame)
+    lanes.sense(*fixed, noisy, frame, noise, keys, counts, who, room)
+    exact, noisy = exact.reshape(16, n), noisy.reshape(16, n)
+    for lane in range(n):
+        m = exact[:, lane].tolist()
+        truth = Measured(tuple(m[:3]), tuple(m[3:6]), tuple(m[6:9]), tuple(m[9:13]), tuple(m[13:]))
+        told = corrupt(truth, noise, keys[lane], who, counts[lane])
+        np.testing.assert_array_equal(np.concatenate(told), noisy[:, lane])
 
 
 # -- delay and rate -------------------------------------------------------------------------------------

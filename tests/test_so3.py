@@ -38,8 +38,8 @@ def test_exponential_is_the_matrix_exponential(a: so3.Vector) -> None:
 
 
 def test_exponential_near_zero_keeps_its_accuracy() -> None:
-    """Both sides of the switch to the series, against the exact half-angle formula."""
-    for angle in (0.0, 1e-9, 0.99e-4, 1.01e-4, 1e-3):
+    """Both sides of where the quotient is replaced, against the exact half-angle formula."""
+    for angle in (0.0, 0.99e-9, 1.01e-9, 1e-4, 1e-3):
         q = so3.exponential((0.6 * angle, 0.0, 0.8 * angle))
         exact = np.sin(0.5 * angle)
         np.testing.assert_allclose(q[1:], (0.6 * exact, 0.0, 0.8 * exact), rtol=1e-15, atol=0.0)
