@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from formation_env._jit import device, kernel
 from formation_env.blocks import LANES, carve, gather, scatter
+from formation_env.crowd import Crowd, find_nearest, line_up
 from formation_env.lanes import (
     approach,
     clear_touch,
@@ -53,6 +54,7 @@ from formation_env.memory import (
     PREVIOUS,
     REFERENCE_ROW,
     SAMPLES,
+    SEPARATION_SQUARED,
     STARTED,
     TERMS,
     TICK,
@@ -122,6 +124,9 @@ class Task(NamedTuple):
     action_size: int
     max_steps: int
 
+
+# From this many vehicles on a sweep finds who is near faster than trying every pair.
+CROWD = 30
 
 # Modes of `advance`: what to do with each world.
 STEP, STEP_OR_RESET, STEP_AND_RESET, RESET = 0, 1, 2, 3
@@ -470,10 +475,64 @@ def _locate(state: State, c: Constants, t: int, room: Scratch) -> None:
         x, out = state.followers[t, i - 1], room.outcomes[i - 1]
         own = state.vehicles[t, i]
         locate(x, leader, own, begin, room.started, load(c.offsets[i - 1], 0), out)
-        for j in range(vehicles):
-            if j != i:
-                approach(own, state.vehicles[t, j], out)
-        separate(out)
+        if vehicles <= CROWD:
+            for j in range(vehicles):
+                if j != i:
+                    approach(own, state.vehicles[t, j], out)
+    if vehicles > CROWD:
+        _separate_crowd(state.vehicles, t, len(state.counters), room)
+    for i in range(vehicles - 1):
+        separate(room.outcomes[i])
+
+
+@device
+def _line_up(tile: Any, lane: int, crowd: Crowd) -> None:
+    """Put the vehicles of one world of a tile in order, whose positions are rows 0-2 each."""
+    for i in range(len(crowd.points)):
+        for k in range(3):
+            crowd.points[i, k] = tile[i, k * LANES + lane]
+    line_up(crowd)
+
+
+@device
+def _separate_crowd(vehicles: Any, t: int, worlds: int, room: Scratch) -> None:
+    """Squared distances to the nearest other vehicle in all worlds of tile `t`, many vehicles each."""
+    square, number = room.squares[:1], room.numbers[:1]
+    for lane in range(min(LANES, worlds - t * LANES)):
+        _line_up(vehicles[t], lane, room.vehicles)
+        for i in range(len(room.outcomes)):
+            find_nearest(room.vehicles, i + 1, square, number)
+            room.outcomes[i, SEPARATION_SQUARED * LANES + lane] = square[0]
+
+
+@device
+def _know_crowd(t: int, worlds: int, room: Scratch) -> None:
+    """Numbers of the neighbours of all followers as measured, in all worlds of tile `t`."""
+    seen = room.seen[min(t, len(room.seen) - 1)]
+    n, K = len(room.actions), room.neighbours.shape[1] // LANES
+    for lane in range(min(LANES, worlds - t * LANES)):
+        _line_up(seen[1:], lane, room.followers)
+        for i in range(n):
+            find_nearest(room.followers, i, room.squares, room.numbers)
+            for m in range(K):
+                room.neighbours[i, m * LANES + lane] = room.numbers[m]
+
+
+@device
+def _know(t: int, i: int, room: Scratch) -> None:
+    """Numbers of the neighbours of follower `i` as measured, in all worlds of tile `t`, few of them."""
+    seen, n = room.seen[min(t, len(room.seen) - 1)], len(room.actions)
+    K = room.neighbours.shape[1] // LANES
+    here, candidate = min(n - 1, K), room.nearest[K]
+    for m in range(here):
+        forget(room.nearest[m])
+    for j in range(n):
+        if j != i:
+            measure(seen[i + 1], seen[j + 1], float(j), candidate)
+            for m in range(here):
+                insert(candidate, room.nearest[m])
+    for m in range(here):
+        copy(room.nearest[m], 1, room.neighbours[i], m, 1)
 
 
 @device
@@ -528,32 +587,23 @@ def _judge(state: State, t: int, room: Scratch, r: Results, task: Task, s: Setti
 
 
 @device
-def _see_neighbours(state: State, t: int, i: int, k: int, room: Scratch, neighbours: int) -> None:
+def _see_neighbours(x: Any, t: int, i: int, k: int, room: Scratch) -> None:
     """What follower `i` sees of its nearest neighbours, from row `k` of the observation on.
 
-    With nobody else the rows stay as zero as they were made.
+    Rows beyond the number of others stay as zero as they were made.
     """
-    n = len(room.actions)
-    x, own = state.followers[t, i], room.seen[min(t, len(room.seen) - 1), i + 1]
-    if n == 2 and neighbours > 0:
-        see_neighbour(x, own, room.seen[min(t, len(room.seen) - 1), 2 - i], k, room.rows)
-        return
-    here = min(n - 1, neighbours)
-    for m in range(here):
-        forget(room.nearest[m])
-    candidate = room.nearest[neighbours]
-    for j in range(n):
-        if j != i and here > 0:
-            measure(own, room.seen[min(t, len(room.seen) - 1), j + 1], float(j), candidate)
-            for m in range(here):
-                insert(candidate, room.nearest[m])
-    for m in range(here):
+    seen, n = room.seen[min(t, len(room.seen) - 1)], len(room.actions)
+    for m in range(min(n - 1, room.neighbours.shape[1] // LANES)):
+        if n == 2:
+            see_neighbour(x, seen[i + 1], seen[2 - i], room.neighbours[i], k, room.rows)
+            return
         for lane in range(LANES):
-            j = int(room.nearest[m, LANES + lane])
-            other = room.seen[min(t, len(room.seen) - 1), j + 1]
+            j = int(room.neighbours[i, m * LANES + lane])
+            other = i if j < 0 else j
             for row in range(6):
-                room.body[row * LANES + lane] = other[row * LANES + lane]
-        see_neighbour(x, own, room.body, k + m * NEIGHBOUR, room.rows)
+                room.body[row * LANES + lane] = seen[other + 1, row * LANES + lane]
+        known = room.neighbours[i, m * LANES : (m + 1) * LANES]
+        see_neighbour(x, seen[i + 1], room.body, known, k + m * NEIGHBOUR, room.rows)
 
 
 @device
@@ -571,6 +621,8 @@ def _look(
     n, width = len(c.offsets), len(OUTPUTS)
     entries = len(room.rows) // LANES
     here = min(LANES, len(state.counters) - t * LANES)
+    if n > CROWD and task.neighbours > 0:
+        _know_crowd(t, len(state.counters), room)
     begin, seen = state.begins[t], room.seen[min(t, len(room.seen) - 1), 0]
     for i in range(n):
         x, own = state.followers[t, i], room.seen[min(t, len(room.seen) - 1), i + 1]
@@ -579,7 +631,9 @@ def _look(
         if s.level == REFERENCE:
             see_guide(x, own, k, room.rows)
             k += GUIDE
-        _see_neighbours(state, t, i, k, room, task.neighbours)
+        if 2 < n <= CROWD:
+            _know(t, i, room)
+        _see_neighbours(x, t, i, k, room)
         first = t * LANES * n + i
         scatter(room.rows, entries, observations, first * entries, n * entries, here)
         scatter(room.outcomes[i], width, outputs, first * width, n * width, here)

@@ -499,14 +499,16 @@ def see_guide(x: Any, own: Any, k: int, row: Any) -> None:
 
 
 @loop
-def see_neighbour(x: Any, own: Any, other: Any, k: int, row: Any) -> None:
-    """What a follower sees of another one, from row `k` of `row` on."""
+def see_neighbour(x: Any, own: Any, other: Any, number: Any, k: int, row: Any) -> None:
+    """What a follower sees of another one, from row `k` of `row` on; nothing of number -1."""
     for lane in range(_LANES):
+        on = number[lane] >= 0.0
         R = complex(x[at(ESTIMATE, lane)], x[at(ESTIMATE + 1, lane)])
         o = observe_neighbour(_measured(own, lane), _measured(other, lane), R)
-        _show(row, k, lane, o.present, UNIT)
-        _show_vector(row, k + 1, lane, o.position, NEAR)
-        _show_vector(row, k + 4, lane, o.velocity, RATE_BOUND)
+        nothing = (0.0, 0.0, 0.0)
+        _show(row, k, lane, pick(on, o.present, 0.0), UNIT)
+        _show_vector(row, k + 1, lane, pick_vector(on, o.position, nothing), NEAR)
+        _show_vector(row, k + 4, lane, pick_vector(on, o.velocity, nothing), RATE_BOUND)
 
 
 @loop

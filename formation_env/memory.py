@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from formation_env._jit import device, plain
 from formation_env.blocks import LANES, carve
+from formation_env.crowd import Crowd
 from formation_env.quadrotor import Airframe, Body
 from formation_env.rng import philox
 from formation_env.sensors import Measured, Noise
@@ -101,6 +102,11 @@ class Scratch(NamedTuple):
     touches: Floats  # (n+1, 3 L): speed, uprightness of the hardest touch-down; touching now
     outcomes: Floats  # (n, 15 L): `OUTPUTS`, then the squares of slot error and separation
     nearest: Floats  # (K+1, 2 L): neighbours by squared distance and number; a candidate
+    neighbours: Floats  # (n, K L): numbers of the nearest, -1 where there is none
+    vehicles: Crowd  # room to line up all vehicles of one world
+    followers: Crowd  # and the followers, as measured
+    squares: Floats  # (K or 1,): nearest of one vehicle there
+    numbers: NDArray[np.int64]  # (K or 1,)
     rows: NDArray[np.float32]  # (entries L,): an observation
     saved: Floats  # all vehicles and measurements of a tile some of whose worlds do not step
 
@@ -345,8 +351,20 @@ def _scratch_lengths(z: Any) -> tuple[int, ...]:
         3 * V * L,
         _OUTCOME * n * L,
         2 * K * L,
+        (K - 1) * n * L,
+        16 * V + 2 * K,
         z[10] * L // 2,
         32 * V * L,
+    )
+
+
+@device
+def _open_crowd(room: Any, at: int, m: int) -> Crowd:
+    return Crowd(
+        carve(room, at, (m, 3)),
+        carve(room, at + 3 * m, (m,)).view(np.int64),
+        carve(room, at + 4 * m, (m, 3)),
+        carve(room, at + 7 * m, (m,)).view(np.int64),
     )
 
 
@@ -363,6 +381,8 @@ def open_scratch(room: Any, state: State, z: Any) -> Scratch:
     g = f + lengths[5]
     h = g + lengths[6]
     i = h + lengths[7]
+    j = i + lengths[8]
+    o = j + lengths[9]
     seen = carve(room, a, (1, V, 16 * L))
     if z[3] == 1:
         seen = carve(state.samples, 0, (z[1], V, 16 * L))
@@ -382,8 +402,13 @@ def open_scratch(room: Any, state: State, z: Any) -> Scratch:
         carve(room, e, (V, 3 * L)),
         carve(room, f, (V - 1, _OUTCOME * L)),
         carve(room, g, (K, 2 * L)),
-        carve(room, h, (lengths[7],)).view(np.float32),
-        carve(room, i, (lengths[8],)),
+        carve(room, h, (V - 1, (K - 1) * L)),
+        _open_crowd(room, i, V),
+        _open_crowd(room, i + 8 * V, V - 1),
+        carve(room, i + 16 * V, (max(K - 1, 1),)),
+        carve(room, i + 16 * V + K, (max(K - 1, 1),)).view(np.int64),
+        carve(room, j, (lengths[9],)).view(np.float32),
+        carve(room, o, (lengths[10],)),
     )
 
 

@@ -1,0 +1,115 @@
+"""The sweep against trying every pair, and against SciPy's tree."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import KDTree
+
+from formation_env import formations
+from formation_env._jit import kernel
+from formation_env.crowd import Crowd, find_nearest, line_up
+
+
+@kernel
+def _nearest(points: Any, order: Any, queue: Any, rank: Any, squares: Any, numbers: Any) -> None:
+    crowd = Crowd(points, order, queue, rank)
+    line_up(crowd)
+    for i in range(len(points)):
+        find_nearest(crowd, i, squares[i], numbers[i])
+
+
+def nearest(points: Any, k: int, order: Any = None) -> tuple[Any, Any]:
+    """Squared distances and numbers of the `k` nearest others, `(m, k)`, from the sweep."""
+    m = len(points)
+    squares, numbers = np.empty((m, k)), np.empty((m, k), np.int64)
+    order = np.zeros(m, np.int64) if order is None else order
+    room = order, np.empty((m, 3)), np.empty(m, np.int64)
+    _nearest(np.ascontiguousarray(points, dtype=float), *room, squares, numbers)
+    return squares, numbers
+
+
+def every_pair(points: Any, k: int) -> tuple[Any, Any]:
+    """The same from all pairs, ordered by distance and then by number."""
+    e = points[:, None] - points[None]
+    squares = e[..., 0] ** 2 + e[..., 1] ** 2 + e[..., 2] ** 2
+    np.fill_diagonal(squares, np.inf)
+    numbers = np.argsort(squares, axis=1, kind="stable")[:, :k]
+    return np.take_along_axis(squares, numbers, axis=1), numbers
+
+
+CROWDS = {
+    "cloud": lambda draw: draw.normal(size=(300, 3)),
+    "flat": lambda draw: draw.uniform(size=(200, 3)) * [40.0, 30.0, 0.0],
+    "line": lambda draw: np.outer(np.arange(100.0), [1.0, 0.5, 0.0]),
+    "upright": lambda draw: np.outer(draw.permutation(64) * 1.0, [0.0, 0.0, -0.3]),
+    "cluster and one far away": lambda draw: np.vstack([draw.normal(size=(80, 3)), [1e4, 0, 0]]),
+    "all in one place": lambda draw: np.ones((50, 3)),
+    "two": lambda draw: np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]]),
+    "wedge": lambda draw: np.array(formations.wedge(256)),
+    "lattice": lambda draw: np.stack(np.mgrid[:9, :9, :3], axis=-1).reshape(-1, 3) * 1.0,
+}
+
+
+@pytest.mark.parametrize("name", CROWDS)
+@pytest.mark.parametrize("k", [1, 2, 5])
+def test_it_finds_whom_trying_every_pair_finds(name: str, k: int) -> None:
+    """Ties included: on a lattice nearly all distances are equal to others."""
+    points = CROWDS[name](np.random.default_rng(1))
+    here = min(k, len(points) - 1)
+    squares, numbers = nearest(points, k)
+    expected, whom = every_pair(points, here)
+    np.testing.assert_allclose(squares[:, :here], expected, rtol=1e-14)
+    if name not in ("line", "wedge"):  # there ties are decided by rounding
+        np.testing.assert_array_equal(numbers[:, :here], whom)
+    assert (numbers[:, here:] == -1).all()
+    assert np.isinf(squares[:, here:]).all()
+
+
+def test_it_finds_what_a_tree_finds() -> None:
+    points = np.random.default_rng(2).uniform(-50.0, 50.0, (500, 3)) * [1.0, 1.0, 0.02]
+    squares, numbers = nearest(points, 3)
+    distance, whom = KDTree(points).query(points, 4)
+    np.testing.assert_allclose(np.sqrt(squares), distance[:, 1:], rtol=1e-12)
+    np.testing.assert_array_equal(numbers, whom[:, 1:])
+
+
+@settings(deadline=None, max_examples=200)
+@given(
+    st.lists(st.tuples(*[st.integers(-4, 4)] * 3), min_size=2, max_size=40),
+    st.tuples(*[st.sampled_from([0.0, 2.0**-10, 1.0, 2.0**20])] * 3),
+)
+def test_whatever_the_shape(places: list[tuple[int, int, int]], scale: Any) -> None:
+    """Coordinates from few values, so that many coincide."""
+    points = np.array(places) * np.array(scale)
+    squares, numbers = nearest(points, 2)
+    here = min(2, len(points) - 1)
+    expected, whom = every_pair(points, here)
+    np.testing.assert_array_equal(squares[:, :here], expected)
+    np.testing.assert_array_equal(numbers[:, :here], whom)
+
+
+def test_the_last_order_changes_nothing() -> None:
+    """Of points that moved, of others, and backwards."""
+    draw = np.random.default_rng(5)
+    order = np.zeros(90, np.int64)
+    first = np.round(draw.normal(size=(90, 3)), 1)
+    for points in (first, first + 0.1, draw.normal(size=(90, 3)), -first):
+        found, expected = nearest(points, 3, order), nearest(points, 3)
+        np.testing.assert_array_equal(found[0], expected[0])
+        np.testing.assert_array_equal(found[1], expected[1])
+
+
+def test_who_has_left_what_can_be_computed_is_nobodys_neighbour() -> None:
+    points = np.random.default_rng(3).normal(size=(60, 3))
+    points[7], points[20, 1] = np.nan, np.inf
+    squares, numbers = nearest(points, 2)
+    sound = np.setdiff1d(np.arange(60), [7, 20])
+    assert (numbers[[7, 20]] == -1).all()
+    _, whom = every_pair(points[sound], 2)
+    np.testing.assert_array_equal(numbers[sound], sound[whom])
+    assert np.isfinite(squares[sound]).all()
