@@ -216,6 +216,19 @@ def _place(state: State, w: int, i: int, body: Body, a: Vector, key: Any, s: Wor
 
 
 @device
+def _fill_lanes(state: State, w: int) -> None:
+    """Let the lanes behind the last world `w` start as it does: they are computed all the same."""
+    t, lane = w // LANES, w % LANES
+    for other in range(lane + 1, LANES):
+        for i in range(state.vehicles.shape[1]):
+            state.vehicles[t, i, other::LANES] = state.vehicles[t, i, lane::LANES]
+            for k in range(state.samples.shape[2]):
+                state.samples[t, i, k, other::LANES] = state.samples[t, i, k, lane::LANES]
+        for i in range(state.followers.shape[1]):
+            state.followers[t, i, other::LANES] = state.followers[t, i, lane::LANES]
+
+
+@device
 def _start_of(state: State, w: int, R: complex, d: Vector, s: World) -> Any:
     """Where a follower with offset `d` should be: behind the leader or, on the ground, behind (40)'s
     reference point."""
@@ -267,6 +280,8 @@ def _reset(state: State, c: Constants, w: int, room: Scratch, task: Task, s: Set
         for k in range(TERMS + 4):
             room.outcomes[i, k * LANES + w % LANES] = 0.0
         room.outcomes[i, FAILED * LANES + w % LANES] = 0.0
+    if w + 1 == len(state.counters):
+        _fill_lanes(state, w)
 
 
 # -- step -------------------------------------------------------------------------------------------
@@ -341,7 +356,8 @@ def _prepare(
 def _lead(state: State, c: Constants, t: int, room: Scratch, kind: int, s: World) -> None:
     """The leader's references, and its velocity before the tick, in all worlds of tile `t`."""
     counters, table, lines = state.counters, c.references, room.body
-    for lane in range(min(LANES, len(counters) - t * LANES)):
+    here = min(LANES, len(counters) - t * LANES)
+    for lane in range(here):
         w = t * LANES + lane
         line = carve(lines, lane * REFERENCE_ROW, (REFERENCE_ROW,))
         if counters[w, STARTED] != 0 and len(table) > 0:
@@ -350,6 +366,9 @@ def _lead(state: State, c: Constants, t: int, room: Scratch, kind: int, s: World
                 line[k] = row[k]
         else:
             _refer(state, w, line, kind, s)
+    for lane in range(here, LANES):
+        for k in range(REFERENCE_ROW):
+            lines[lane * REFERENCE_ROW + k] = lines[(here - 1) * REFERENCE_ROW + k]
     gather(lines, room.refs)
     copy(state.vehicles[t, 0], 3, room.before, 0, 2)
     copy(room.seen[min(t, len(room.seen) - 1), 0], 3, state.seen[t], 0, 2)
@@ -697,12 +716,12 @@ def advance(
         _receive(state, t, work)
         flying, waiting = _prepare(state, t, actions, mask, mode, work, s.world)
         if flying > 0:
-            if flying < LANES:
+            if flying < end - t * LANES:
                 _save(state, t, work)
             _lead(state, c, t, work, task.trajectory_kind, s.world)
             _command(state, t, work, s.world)
             _fly(state, t, work, s.world)
-            if flying < LANES:
+            if flying < end - t * LANES:
                 _put_back(state, t, work)
             _count(state, c, t, work, s.world)
         judged, triggered, again = False, flying == 0, True

@@ -205,11 +205,14 @@ def test_without_noise_the_formation_is_tight() -> None:
 
 
 def test_noise_correlation_of_heights_is_understood() -> None:
-    """The prediction of the linear loops against the whole simulation, over many noises."""
-    run = sampled.fly("paper", seed=0, worlds=24)
+    """The prediction of the linear loops against the whole simulation, over many noises.
+
+    One run's correlation varies by 0.22: the mean of 200 is known to 0.016.
+    """
+    run = sampled.fly("paper", seed=0, worlds=200)
     heights = [
         (run.p[m, w, 0, 2], run.virtual_p[m, w, 0, 2])
-        for w, m in enumerate(map(run.steady, range(24)))
+        for w, m in enumerate(map(run.steady, range(200)))
     ]
     measured = float(np.mean([np.corrcoef(a, b)[0, 1] for a, b in heights]))
     assert measured == pytest.approx(predicted_correlation(run.config, shared=True), abs=0.1)
