@@ -37,7 +37,17 @@ def _source_stamp(folder: Path) -> str:
 
 def device(function: F) -> F:
     """Compile `function` to be inlined into the kernels that call it."""
-    return njit(fastmath=FASTMATH, error_model="numpy", forceinline=True)(function)  # type: ignore[no-any-return]
+    return _for_kernels(function, forceinline=True)
+
+
+def _for_kernels(function: F, **options: Any) -> F:
+    options = {"fastmath": FASTMATH, "error_model": "numpy", **options}
+    called: Any = njit(**options)(function)
+    if hasattr(called, "get_call_template"):
+        linked: Any = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)(function)
+        called.get_call_template = linked.get_call_template
+        called.get_overload = linked.get_overload
+    return called  # type: ignore[no-any-return]
 
 
 def plain(function: F) -> F:
@@ -50,7 +60,7 @@ def loop(function: F) -> F:
 
     Small enough for the compiler to vectorise, and one piece of machine code for all its callers.
     """
-    return njit(fastmath=FASTMATH, error_model="numpy", nogil=True)(function)  # type: ignore[no-any-return]
+    return _for_kernels(function, nogil=True)
 
 
 def kernel(function: F) -> F:
