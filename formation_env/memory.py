@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formation_env._jit import device, plain
-from formation_env.blocks import LANES, carve
+from formation_env.blocks import LANES, carve, reinterpret
 from formation_env.quadrotor import Airframe, Body
 from formation_env.rng import philox
 from formation_env.sensors import Measured, Noise
@@ -261,7 +261,7 @@ def views(memory: Floats) -> tuple[Constants, State]:
 @device
 def size_numbers(memory: Any) -> Any:
     """The head of the memory, `Sizes`."""
-    return carve(memory, 0, (_SIZES,)).view(np.int64)
+    return reinterpret(carve(memory, 0, (_SIZES,)), np.int64)
 
 
 @device
@@ -326,9 +326,9 @@ def open_state(memory: Any) -> State:
         carve(memory, e, (T, 2 * LANES)),
         carve(memory, f, (T, 3 * LANES)),
         carve(memory, g, (z[5], z[6])),
-        carve(carve(memory, h, (lengths[7],)).view(np.int64), 0, (z[0], 6)),
-        carve(memory, keys, (T * LANES,)).view(np.uint64),
-        carve(memory, keys + T * LANES, (T * LANES,)).view(np.uint64),
+        carve(reinterpret(carve(memory, h, (lengths[7],)), np.int64), 0, (z[0], 6)),
+        reinterpret(carve(memory, keys, (T * LANES,)), np.uint64),
+        reinterpret(carve(memory, keys + T * LANES, (T * LANES,)), np.uint64),
     )
 
 
@@ -374,15 +374,15 @@ def open_scratch(room: Any, state: State, z: Any) -> Scratch:
         carve(room, 5 * L, (2 * L,)),
         carve(room, 7 * L, (16 * L,)),
         carve(room, 23 * L, (16 * L,)),
-        carve(room, 39 * L, (L,)).view(np.uint64),
-        carve(room, 40 * L, (8 * L,)).view(np.float32),
+        reinterpret(carve(room, 39 * L, (L,)), np.uint64),
+        reinterpret(carve(room, 40 * L, (8 * L,)), np.float32),
         seen,
         carve(room, b, (V - 1, 4 * L)),
         carve(room, d, (V, 4 * L)),
         carve(room, e, (V, 3 * L)),
         carve(room, f, (V - 1, _OUTCOME * L)),
         carve(room, g, (K, 2 * L)),
-        carve(room, h, (lengths[7],)).view(np.float32),
+        reinterpret(carve(room, h, (lengths[7],)), np.float32),
         carve(room, i, (lengths[8],)),
     )
 
