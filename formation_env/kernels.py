@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from formation_env._jit import device, kernel
+from formation_env._jit import announced, device, kernel
 from formation_env.blocks import LANES, carve, gather, scatter
 from formation_env.lanes import (
     approach,
@@ -597,6 +597,7 @@ def _bad_action(actions: Any) -> int:
     return -1
 
 
+@announced
 @kernel
 def advance(
     first: int,
@@ -694,6 +695,7 @@ def reference_path(kind: int, table: Floats, times: Floats) -> Floats:
     return path
 
 
+@announced
 @kernel
 def reference_table(kind: int, table: Floats, period: float, steps: int) -> Floats:
     """A trajectory tick by tick, `(steps + 1, 16)`: position and four derivatives."""
