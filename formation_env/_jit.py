@@ -1,10 +1,11 @@
 """How this package hands functions to Numba: one place, so that every function is compiled alike.
 
-Two decorators. `device` marks the mathematics: small functions on scalars, tuples and complex
-numbers that are inlined where they are called. `kernel` marks the few entry points that Python
-calls: they hold the loops over memory, release the GIL and are cached on disk.
+Three decorators. `device` marks the mathematics: small functions on scalars, tuples and complex
+numbers that are inlined where they are called. `loop` marks the loops that the compiler vectorises.
+`kernel` marks the few entry points that Python calls: they hold the loops over memory, release the GIL
+and are cached on disk.
 
-Both use the same restricted fast-math set. `contract` (fused multiply-add), `nsz` and `arcp` give
+All use the same restricted fast-math set. `contract` (fused multiply-add), `nsz` and `arcp` give
 most of the speed and keep the meaning of NaN and infinity, on which the input checks rely.
 
 Setting `NUMBA_DISABLE_JIT=1` turns all of it back into Python, for coverage and the debugger.
@@ -13,12 +14,14 @@ Setting `NUMBA_DISABLE_JIT=1` turns all of it back into Python, for coverage and
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 from numba import njit
+from numba.core import event
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -26,18 +29,38 @@ FASTMATH = {"contract", "nsz", "arcp"}
 
 
 @cache
-def _source_stamp(folder: Path) -> str:
-    """Hash of all sources a kernel in `folder` may have been compiled from."""
+def _source_stamp(folder: Path) -> str | None:
+    """Hash of all sources a kernel in `folder` may have been compiled from, if they are in files."""
     digest = hashlib.sha256()
     for directory in sorted({Path(__file__).parent, folder}):
-        for path in sorted(directory.glob("*.py")):
+        sources = sorted(directory.glob("*.py"))
+        if not sources:  # in an archive, or compiled files alone
+            return None
+        for path in sources:
             digest.update(path.read_bytes())
     return digest.hexdigest()
 
 
+def _called_by_kernels(function: F, **options: Any) -> F:
+    """Compile `function` for kernels and, apart from that, for calls from Python.
+
+    Numba compiles two wrappers along with every function, for Python and for C, and takes as long for
+    them as for all the rest where arguments are big tuples. Kernels need neither, so what they link is
+    another compilation of the function, without wrappers; the one with them is made when a test or the
+    debugger calls the function from Python.
+    """
+    options = {"fastmath": FASTMATH, "error_model": "numpy", **options}
+    called: Any = njit(**options)(function)
+    if hasattr(called, "get_call_template"):
+        linked: Any = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)(function)
+        called.get_call_template = linked.get_call_template
+        called.get_overload = linked.get_overload
+    return called  # type: ignore[no-any-return]
+
+
 def device(function: F) -> F:
     """Compile `function` to be inlined into the kernels that call it."""
-    return njit(fastmath=FASTMATH, error_model="numpy", forceinline=True)(function)  # type: ignore[no-any-return]
+    return _called_by_kernels(function, forceinline=True)
 
 
 def plain(function: F) -> F:
@@ -50,17 +73,57 @@ def loop(function: F) -> F:
 
     Small enough for the compiler to vectorise, and one piece of machine code for all its callers.
     """
-    return njit(fastmath=FASTMATH, error_model="numpy", nogil=True)(function)  # type: ignore[no-any-return]
+    return _called_by_kernels(function, nogil=True)
 
 
 def kernel(function: F) -> F:
     """Compile `function` as an entry point: cached on disk, GIL released.
 
     Numba's cache is keyed on the file of the entry point alone; a change in a law that the kernel
-    inlines would leave a stale kernel behind. So the stamp covers every source of the package.
+    inlines would leave a stale kernel behind. So the stamp covers every source of the package, and where
+    there are no source files, or no folder that can be written, nothing is kept.
     """
-    compiled = njit(fastmath=FASTMATH, error_model="numpy", nogil=True, cache=True)(function)
-    store = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
-    if store is not None:
-        store._source_stamp = _source_stamp(Path(function.__code__.co_filename).parent)
+    compiled: Any = njit(fastmath=FASTMATH, error_model="numpy", nogil=True)(function)
+    stamp = _source_stamp(Path(function.__code__.co_filename).parent)
+    if stamp is not None and hasattr(compiled, "enable_caching"):
+        try:
+            compiled.enable_caching()
+            compiled._cache._cache_file._source_stamp = stamp
+        except (RuntimeError, OSError):  # no folder of those Numba tries can be written
+            pass
     return compiled  # type: ignore[no-any-return]
+
+
+class _Announcement(event.Listener):  # type: ignore[misc]
+    """Tells once per process that a slow kernel is being compiled, as that begins."""
+
+    def __init__(self) -> None:
+        self.slow: list[Any] = []
+        self._told = False
+
+    def on_start(self, event: Any) -> None:
+        kernel = event.data["dispatcher"]
+        if self._told or all(kernel is not one for one in self.slow):
+            return
+        self._told = True
+        folder = kernel.stats.cache_path
+        kept = f"it is kept in {folder}" if folder else "no folder to keep it in: NUMBA_CACHE_DIR"
+        print(
+            f"formation_env: compiling the simulation, which can take a minute ({kept})",
+            file=sys.stderr,
+            flush=True,
+        )
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+_announcement = _Announcement()
+
+
+def announced(kernel: F) -> F:
+    """Have the user told when this kernel has to be compiled: not when it comes from the cache."""
+    if not _announcement.slow:
+        event.register("numba:compile", _announcement)
+    _announcement.slow.append(kernel)
+    return kernel

@@ -62,6 +62,39 @@ def _carve_compiled(flat: Any, start: Any, shape: Any) -> Any:
     return implementation
 
 
+@intrinsic  # type: ignore[untyped-decorator]
+def _reinterpret(typing: Any, block: Any, kind: Any) -> Any:
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        source = arrayobj.make_array(block)(context, builder, arguments[0])
+        sink = arrayobj.make_array(view)(context, builder)
+        number = context.get_data_type(view.dtype).as_pointer()
+        size = context.get_value_type(types.intp)(view.dtype.bitwidth // 8)
+        many = builder.mul(source.nitems, size.type(block.dtype.bitwidth // view.dtype.bitwidth))
+        data = builder.bitcast(source.data, number)
+        arrayobj.populate_array(sink, data, [many], [size], size, None)
+        return sink._getvalue()
+
+    view = types.Array(kind.dtype, 1, "C")
+    return view(block, kind), build
+
+
+def reinterpret(block: Any, kind: Any) -> Any:
+    """The memory of a row of numbers as numbers of another kind, no wider: `block.view(kind)`.
+
+    Compiled, it is not counted, as with `carve`, and does not bring the error messages of `view` along,
+    which take seconds to compile.
+    """
+    return block.view(kind)
+
+
+@overload(reinterpret)  # type: ignore[untyped-decorator]
+def _reinterpret_compiled(block: Any, kind: Any) -> Any:
+    def implementation(block: Any, kind: Any) -> Any:
+        return _reinterpret(block, kind)
+
+    return implementation
+
+
 def _shuffled(builder: Any, rows: list[Any], width: int) -> list[Any]:
     """The transpose of a square of vectors: swap ever larger off-diagonal blocks."""
     kind = ir.VectorType(ir.IntType(32), width)

@@ -23,7 +23,7 @@ from formation_env.sensors import Noise
 from formation_env.slots import out_of_frame
 from formation_env.so3 import Vector
 from formation_env.task import Layout, Limits, Rewards
-from formation_env.trajectories import Trajectory, evaluate, figure_eight, start_direction
+from formation_env.trajectories import Trajectory, figure_eight, path_start
 from formation_env.vehicle import Vehicle, vector3
 from formation_env.world import RATE, REFERENCE, WRENCH, Clock, Gusts, Reach, World
 
@@ -280,8 +280,7 @@ class FormationConfig:
     def ground_starts(self) -> tuple[Vector, ...]:
         """Where the leader and the followers stand at the start on the ground, leader first."""
         kind, table = self.trajectory.kind, self.trajectory.table
-        R = start_direction(kind, table)
-        p = evaluate(kind, table, 0.0).p
+        R, p = path_start(kind, table)
         leader = self.leader_start or (p[0], p[1], 0.0)
         if self.follower_starts is not None:
             return (leader, *self.follower_starts)

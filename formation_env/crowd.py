@@ -92,8 +92,8 @@ def find_nearest(crowd: Crowd, i: int, squares: Any, numbers: Any) -> None:
 
     Where there are fewer the rest is infinity and -1.
     """
-    squares[:] = np.inf
-    numbers[:] = -1
+    for k in range(len(numbers)):
+        squares[k], numbers[k] = np.inf, -1
     queue, order, place = crowd.queue, crowd.order, crowd.rank[i]
     x, y, z = queue[place, 0], queue[place, 1], queue[place, 2]
     for step in (-1, 1):

@@ -29,7 +29,7 @@ from formation_env._jit import kernel
 from formation_env.checks import require
 from formation_env.references import Floats
 from formation_env.slots import advance_heading
-from formation_env.trajectories import Trajectory, start_direction
+from formation_env.trajectories import Trajectory, path_start
 
 Complexes = NDArray[np.complex128]
 
@@ -142,7 +142,7 @@ def _path(trajectory: Trajectory, duration: float, step: float) -> _Path:
     moving = np.abs(v) > STILL
     v_moving = v[moving]
     curvature = (v_moving.conj() * a[moving]).imag / np.abs(v_moving) ** 3
-    direction = start_direction(trajectory.kind, trajectory.table)
+    direction, _ = path_start(trajectory.kind, trajectory.table)
     return _Path(duration / count, v, curvature, direction)
 
 

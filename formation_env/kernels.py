@@ -10,11 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from formation_env._jit import device, kernel
+from formation_env._jit import announced, device, kernel
 from formation_env.blocks import LANES, carve, gather, scatter
 from formation_env.crowd import Crowd, find_nearest, line_up
 from formation_env.lanes import (
     approach,
+    clear,
     clear_touch,
     copy,
     count_finite,
@@ -31,6 +32,7 @@ from formation_env.lanes import (
     lead_by_rates,
     locate,
     measure,
+    repeat,
     restore,
     see,
     see_guide,
@@ -60,7 +62,6 @@ from formation_env.memory import (
     TICK,
     Constants,
     Floats,
-    Results,
     Scratch,
     Settings,
     State,
@@ -216,16 +217,22 @@ def _place(state: State, w: int, i: int, body: Body, a: Vector, key: Any, s: Wor
 
 
 @device
+def _fill_rows(x: Any, lane: int) -> None:
+    for row in range(0, len(x), LANES):
+        for other in range(lane + 1, LANES):
+            x[row + other] = x[row + lane]
+
+
+@device
 def _fill_lanes(state: State, w: int) -> None:
     """Let the lanes behind the last world `w` start as it does: they are computed all the same."""
     t, lane = w // LANES, w % LANES
-    for other in range(lane + 1, LANES):
-        for i in range(state.vehicles.shape[1]):
-            state.vehicles[t, i, other::LANES] = state.vehicles[t, i, lane::LANES]
-            for k in range(state.samples.shape[2]):
-                state.samples[t, i, k, other::LANES] = state.samples[t, i, k, lane::LANES]
-        for i in range(state.followers.shape[1]):
-            state.followers[t, i, other::LANES] = state.followers[t, i, lane::LANES]
+    for i in range(state.vehicles.shape[1]):
+        _fill_rows(state.vehicles[t, i], lane)
+        for k in range(state.samples.shape[2]):
+            _fill_rows(state.samples[t, i, k], lane)
+    for i in range(state.followers.shape[1]):
+        _fill_rows(state.followers[t, i], lane)
 
 
 @device
@@ -458,7 +465,7 @@ def _fly(state: State, t: int, room: Scratch, s: World) -> None:
             if silent(s.noise):
                 sense_exactly(x, command, touch, sample, s.airframe)
             else:
-                keys = state.episode_keys[t * LANES : (t + 1) * LANES]
+                keys = carve(state.episode_keys, t * LANES, (LANES,))
                 noise, counts, draws = s.noise, room.counts, room.draws
                 sense(x, command, touch, sample, s.airframe, noise, keys, counts, i, draws)
 
@@ -576,10 +583,10 @@ def _trigger(state: State, t: int, room: Scratch, s: World) -> bool:
 
 
 @device
-def _judge(state: State, t: int, room: Scratch, r: Results, task: Task, s: Settings) -> None:
+def _judge(state: State, t: int, room: Scratch, ends: Any, task: Task, s: Settings) -> None:
     """Rewards and failures of the worlds of tile `t`: nothing for those that have not flown."""
     n = len(room.actions)
-    room.tally[:] = 0.0
+    clear(room.tally)
     for i in range(n):
         judge(
             state.followers[t, i],
@@ -592,7 +599,7 @@ def _judge(state: State, t: int, room: Scratch, r: Results, task: Task, s: Setti
             room.outcomes[i],
             room.tally,
         )
-    counters, ends, impacts = state.counters, r.ends, room.touches[0]
+    counters, impacts = state.counters, room.touches[0]
     for lane in range(min(LANES, len(counters) - t * LANES)):
         w = t * LANES + lane
         ended = late = False
@@ -669,6 +676,7 @@ def _bad_action(actions: Any) -> int:
     return -1
 
 
+@announced
 @kernel
 def advance(
     first: int,
@@ -698,19 +706,16 @@ def advance(
         return bad
     actions, mask = carve(actions, 0, actions.shape), carve(mask, 0, mask.shape)
     seen, told = carve(observations, 0, (observations.size,)), carve(outputs, 0, (outputs.size,))
-    r = Results(
-        carve(observations, 0, observations.shape),
-        carve(outputs, 0, outputs.shape),
-        carve(ends, 0, ends.shape),
-        carve(last_observations, 0, last_observations.shape),
-        carve(last_outputs, 0, last_outputs.shape),
-    )
+    last_seen = carve(last_observations, 0, (last_observations.size,))
+    last_told = carve(last_outputs, 0, (last_outputs.size,))
+    ends = carve(ends, 0, ends.shape)
     sizes = size_numbers(memory)
     state, c = open_state(memory), open_constants(memory)
     work = open_scratch(room, state, sizes)
     task = Task(sizes[11], sizes[12], sizes[13], sizes[14])
     s = unpack(c.settings)
-    worlds = len(state.counters)
+    worlds, n = len(state.counters), len(c.offsets)
+    one = n * sizes[10]
     for t in range(first, last):
         end = min((t + 1) * LANES, worlds)
         _receive(state, t, work)
@@ -741,15 +746,15 @@ def advance(
                 if _trigger(state, t, work, s.world):
                     continue
             if not judged:
-                _judge(state, t, work, r, task, s)
+                _judge(state, t, work, ends, task, s)
                 judged = True
             _look(state, c, t, work, seen, told, task, s.world)
             again = False
             if mode == STEP_AND_RESET:
                 for w in range(t * LANES, end):
                     if work.active[w % LANES] != 0.0 and state.counters[w, OVER] != 0:
-                        r.final_observations[w] = r.observations[w]
-                        r.final_outputs[w] = r.outputs[w]
+                        repeat(seen, last_seen, w * one, one)
+                        repeat(told, last_told, w * n * len(OUTPUTS), n * len(OUTPUTS))
                         again = waiting = True
     return -1
 
@@ -769,6 +774,7 @@ def reference_path(kind: int, table: Floats, times: Floats) -> Floats:
     return path
 
 
+@announced
 @kernel
 def reference_table(kind: int, table: Floats, period: float, steps: int) -> Floats:
     """A trajectory tick by tick, `(steps + 1, 16)`: position and four derivatives."""

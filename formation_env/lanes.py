@@ -175,12 +175,27 @@ def copy(source: Any, first: int, sink: Any, to: int, rows: int) -> None:
 
 
 @loop
+def repeat(source: Any, sink: Any, first: int, count: int) -> None:
+    """`count` numbers from `first` on, at the same place."""
+    a = np.uint64(first)
+    for k in range(np.uint64(count)):
+        sink[a + k] = source[a + k]
+
+
+@loop
 def restore(saved: Any, first: int, sink: Any, rows: int, active: Any) -> None:
     """Put `rows` rows of `sink` back where a lane is not active."""
     for row in range(rows):
         a, b = np.uint64(first + row) * _LANES, np.uint64(row) * _LANES
         for lane in range(_LANES):
             sink[b + lane] = pick(active[lane] > 0.0, sink[b + lane], saved[a + lane])
+
+
+@loop
+def clear(row: Any) -> None:
+    """Zero everywhere."""
+    for k in range(np.uint64(len(row))):
+        row[k] = 0.0
 
 
 @device

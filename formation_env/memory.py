@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formation_env._jit import device, plain
-from formation_env.blocks import LANES, carve
+from formation_env.blocks import LANES, carve, reinterpret
 from formation_env.crowd import Crowd
 from formation_env.quadrotor import Airframe, Body
 from formation_env.rng import philox
@@ -267,7 +267,7 @@ def views(memory: Floats) -> tuple[Constants, State]:
 @device
 def size_numbers(memory: Any) -> Any:
     """The head of the memory, `Sizes`."""
-    return carve(memory, 0, (_SIZES,)).view(np.int64)
+    return reinterpret(carve(memory, 0, (_SIZES,)), np.int64)
 
 
 @device
@@ -332,9 +332,9 @@ def open_state(memory: Any) -> State:
         carve(memory, e, (T, 2 * LANES)),
         carve(memory, f, (T, 3 * LANES)),
         carve(memory, g, (z[5], z[6])),
-        carve(carve(memory, h, (lengths[7],)).view(np.int64), 0, (z[0], 6)),
-        carve(memory, keys, (T * LANES,)).view(np.uint64),
-        carve(memory, keys + T * LANES, (T * LANES,)).view(np.uint64),
+        carve(reinterpret(carve(memory, h, (lengths[7],)), np.int64), 0, (z[0], 6)),
+        reinterpret(carve(memory, keys, (T * LANES,)), np.uint64),
+        reinterpret(carve(memory, keys + T * LANES, (T * LANES,)), np.uint64),
     )
 
 
@@ -362,9 +362,9 @@ def _scratch_lengths(z: Any) -> tuple[int, ...]:
 def _open_crowd(room: Any, at: int, m: int) -> Crowd:
     return Crowd(
         carve(room, at, (m, 3)),
-        carve(room, at + 3 * m, (m,)).view(np.int64),
+        reinterpret(carve(room, at + 3 * m, (m,)), np.int64),
         carve(room, at + 4 * m, (m, 3)),
-        carve(room, at + 7 * m, (m,)).view(np.int64),
+        reinterpret(carve(room, at + 7 * m, (m,)), np.int64),
     )
 
 
@@ -394,8 +394,8 @@ def open_scratch(room: Any, state: State, z: Any) -> Scratch:
         carve(room, 5 * L, (2 * L,)),
         carve(room, 7 * L, (16 * L,)),
         carve(room, 23 * L, (16 * L,)),
-        carve(room, 39 * L, (L,)).view(np.uint64),
-        carve(room, 40 * L, (8 * L,)).view(np.float32),
+        reinterpret(carve(room, 39 * L, (L,)), np.uint64),
+        reinterpret(carve(room, 40 * L, (8 * L,)), np.float32),
         seen,
         carve(room, b, (V - 1, 4 * L)),
         carve(room, d, (V, 4 * L)),
@@ -406,8 +406,8 @@ def open_scratch(room: Any, state: State, z: Any) -> Scratch:
         _open_crowd(room, i, V),
         _open_crowd(room, i + 8 * V, V - 1),
         carve(room, i + 16 * V, (max(K - 1, 1),)),
-        carve(room, i + 16 * V + K, (max(K - 1, 1),)).view(np.int64),
-        carve(room, j, (lengths[9],)).view(np.float32),
+        reinterpret(carve(room, i + 16 * V + K, (max(K - 1, 1),)), np.int64),
+        reinterpret(carve(room, j, (lengths[9],)), np.float32),
         carve(room, o, (lengths[10],)),
     )
 

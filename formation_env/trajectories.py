@@ -147,6 +147,12 @@ def draw(key: int, bounds: Floats, table: Floats) -> None:
 
 
 @kernel
+def path_start(kind: int, table: Floats) -> tuple[complex, tuple[float, float, float]]:
+    """`start_direction` and the first point, for Python: from the cache, as compiling takes seconds."""
+    return start_direction(kind, table), evaluate(kind, table, 0.0).p
+
+
+@kernel
 def _draw_one(key: int, bounds: Floats, table: Floats) -> None:
     draw(key, bounds, table)
 
