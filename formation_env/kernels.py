@@ -5,14 +5,15 @@ The mathematics is in `world`, `task` and below; here is the order of things.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from formation_env._jit import announced, device, kernel
 from formation_env.blocks import LANES, carve, gather, scatter
-from formation_env.crowd import Crowd, find_nearest, line_up
+from formation_env.company import CROWD, know_crowd, know_few, see_neighbours, separate_crowd
+from formation_env.episodes import Task, start_episode
 from formation_env.lanes import (
     approach,
     clear,
@@ -24,19 +25,15 @@ from formation_env.lanes import (
     drive_by_rates,
     fly_by_moment,
     fly_by_rates,
-    forget,
-    insert,
     judge,
     land,
     lead_by_moment,
     lead_by_rates,
     locate,
-    measure,
     repeat,
     restore,
     see,
     see_guide,
-    see_neighbour,
     sense,
     sense_exactly,
     separate,
@@ -44,21 +41,15 @@ from formation_env.lanes import (
 )
 from formation_env.memory import (
     CLOCK,
-    EPISODE,
     ERROR_SQUARED,
     ESTIMATE,
-    FAILED,
     GUIDE_P,
     GUIDE_V,
-    HEADING,
     OUTPUTS,
     OVER,
-    PREVIOUS,
     REFERENCE_ROW,
     SAMPLES,
-    SEPARATION_SQUARED,
     STARTED,
-    TERMS,
     TICK,
     Constants,
     Floats,
@@ -66,38 +57,26 @@ from formation_env.memory import (
     Settings,
     State,
     begin_of,
-    episode_key,
     follower,
     latest,
     load,
-    load_body,
     load_guide,
-    load_sample,
     open_constants,
     open_scratch,
     open_state,
     put,
-    put_body,
-    put_sample,
-    ring,
     size_numbers,
     table_row,
     unpack,
     vehicle,
 )
-from formation_env.quadrotor import MOMENT, Body, Wrench
+from formation_env.quadrotor import MOMENT, Wrench
+from formation_env.sampling import every_tick, receive, sense_when_due
 from formation_env.sensors import (
-    Measured,
-    angular_difference,
-    averaged_acceleration,
-    corrupt,
-    difference,
     silent,
 )
-from formation_env.slots import slot
-from formation_env.so3 import Vector
-from formation_env.task import CORE, GUIDE, NEIGHBOUR
-from formation_env.trajectories import Reference, draw, evaluate, start_direction
+from formation_env.task import CORE, GUIDE
+from formation_env.trajectories import Reference, evaluate
 from formation_env.world import (
     RATE,
     REFERENCE,
@@ -109,189 +88,11 @@ from formation_env.world import (
     guided,
     gust,
     hold_at,
-    near,
-    resting,
-    trimmed,
-    truth,
     within,
 )
 
-
-class Task(NamedTuple):
-    """Whole numbers that say what is asked for."""
-
-    trajectory_kind: int
-    neighbours: int
-    action_size: int
-    max_steps: int
-
-
-# From this many vehicles on a sweep finds who is near faster than trying every pair.
-CROWD = 30
-
 # Modes of `advance`: what to do with each world.
 STEP, STEP_OR_RESET, STEP_AND_RESET, RESET = 0, 1, 2, 3
-
-
-# -- sensing ------------------------------------------------------------------------------------
-
-
-@device
-def _take_sample(
-    samples: Any, speeds: Any, raw: Measured, count: int, leader: bool, s: World
-) -> None:
-    """Store sample number `count`, its velocities differenced where they are not measured."""
-    if s.clock.window > 0:
-        period = s.clock.sample_every * (s.clock.period / s.clock.substeps)
-        before = load_sample(samples[(count - 1) % len(samples)])
-        v = difference(raw.p, before.p, period)
-        a = (0.0, 0.0, 0.0)
-        if leader:
-            then = speeds[count % s.clock.window]
-            a = averaged_acceleration(v, load(then, 0), s.clock.window, period)
-            put(then, 0, v)
-        raw = Measured(raw.p, v, a, raw.q, angular_difference(raw.q, before.q, period))
-    put_sample(samples[count % len(samples)], raw)
-
-
-@device
-def _sense(state: State, t: int, i: int, room: Scratch, k: int, s: World) -> None:
-    """Sample vehicle `i` in the flying worlds of tile `t` where a measurement is due."""
-    for lane in range(LANES):
-        if room.active[lane] == 0.0:
-            continue
-        w = t * LANES + lane
-        elapsed = state.counters[w, TICK] * s.clock.substeps + k + 1
-        if elapsed % s.clock.sample_every != 0:
-            continue
-        count = elapsed // s.clock.sample_every
-        x = vehicle(state, w, i)
-        applied = Wrench(room.commands[i, lane], (0.0, 0.0, 0.0))
-        touching = room.touches[i, 2 * LANES + lane] != 0.0
-        exact = truth(load_body(x), applied, load(x, 13), touching, s.airframe)
-        raw = exact
-        if not silent(s.noise):
-            raw = corrupt(exact, s.noise, state.episode_keys[w], i, count)
-        _take_sample(ring(state, w, i), state.speeds[w], raw, count, i == 0, s)
-
-
-@device
-def _plain(s: World) -> bool:
-    """Whether every tick ends with a measurement that is at once in hand."""
-    c = s.clock
-    return c.window == 0 and c.delay == 0 and c.sample_every == c.substeps
-
-
-@device
-def _receive(state: State, t: int, room: Scratch) -> None:
-    """Fetch the measurements that have arrived in all worlds of tile `t`, if they are late."""
-    samples, seen, counters = state.samples, room.seen, state.counters
-    delays = samples.shape[2]
-    if delays == 1:
-        return
-    for i in range(samples.shape[1]):
-        for lane in range(min(LANES, len(counters) - t * LANES)):
-            at = (counters[t * LANES + lane, SAMPLES] + 1) % delays
-            for k in range(16):
-                seen[0, i, k * LANES + lane] = samples[t, i, at, k * LANES + lane]
-
-
-# -- reset ----------------------------------------------------------------------------------------
-
-
-@device
-def _place(state: State, w: int, i: int, body: Body, a: Vector, key: Any, s: World) -> None:
-    """Put a vehicle with acceleration `a` into the world, its gust still, its sensors settled."""
-    x = vehicle(state, w, i)
-    put_body(x, body)
-    put(x, 13, (0.0, 0.0, 0.0))
-    exact = Measured(body.p, body.v, a, body.q, body.w)
-    raw = exact
-    if not silent(s.noise):
-        raw = corrupt(exact, s.noise, key, i, 0)
-    for k in range(s.clock.delay + 1):
-        put_sample(ring(state, w, i)[k], raw)
-    if i == 0:
-        for k in range(s.clock.window):
-            put(state.speeds[w, k], 0, body.v)
-
-
-@device
-def _fill_rows(x: Any, lane: int) -> None:
-    for row in range(0, len(x), LANES):
-        for other in range(lane + 1, LANES):
-            x[row + other] = x[row + lane]
-
-
-@device
-def _fill_lanes(state: State, w: int) -> None:
-    """Let the lanes behind the last world `w` start as it does: they are computed all the same."""
-    t, lane = w // LANES, w % LANES
-    for i in range(state.vehicles.shape[1]):
-        _fill_rows(state.vehicles[t, i], lane)
-        for k in range(state.samples.shape[2]):
-            _fill_rows(state.samples[t, i, k], lane)
-    for i in range(state.followers.shape[1]):
-        _fill_rows(state.followers[t, i], lane)
-
-
-@device
-def _start_of(state: State, w: int, R: complex, d: Vector, s: World) -> Any:
-    """Where a follower with offset `d` should be: behind the leader or, on the ground, behind (40)'s
-    reference point."""
-    if s.on_ground:
-        return slot(R, begin_of(state, w), (0.0, 0.0, 0.0), d)
-    leader = vehicle(state, w, 0)
-    return slot(R, load(leader, 0), load(leader, 3), d)
-
-
-@device
-def _reset(state: State, c: Constants, w: int, room: Scratch, task: Task, s: Settings) -> None:
-    """Start the next episode of world `w`."""
-    counters = state.counters[w]
-    counters[EPISODE] += 1
-    counters[TICK] = counters[SAMPLES] = counters[CLOCK] = counters[OVER] = 0
-    counters[STARTED] = 0 if s.world.on_ground else 1
-    key = episode_key(state.keys[w], counters[EPISODE])
-    state.episode_keys[w] = key
-    table = table_row(state.tables, w)
-    if len(c.drawing) > 0:
-        draw(key, c.drawing, table)
-    begin = evaluate(task.trajectory_kind, table, 0.0)
-    R = start_direction(task.trajectory_kind, table)
-    for k in range(3):
-        state.begins[w // LANES, k * LANES + w % LANES] = begin.p[k]
-
-    still = (0.0, 0.0, 0.0)
-    if s.world.on_ground:
-        _place(state, w, 0, resting(load(c.starts[0], 0)), still, key, s.world)
-    else:
-        _place(state, w, 0, trimmed(begin, s.world), begin.a, key, s.world)
-    seen = latest(state, w, 0).v
-    state.seen[w // LANES, w % LANES] = seen[0]
-    state.seen[w // LANES, LANES + w % LANES] = seen[1]
-    for i in range(len(c.offsets)):
-        x = follower(state, w, i)
-        x[HEADING], x[HEADING + 1] = R.real, R.imag
-        x[ESTIMATE], x[ESTIMATE + 1] = R.real, R.imag
-        for k in range(4):
-            x[PREVIOUS + k] = 0.0
-        target = _start_of(state, w, R, load(c.offsets[i], 0), s.world)
-        put(x, GUIDE_P, target.p)
-        put(x, GUIDE_V, target.v)
-        if s.world.on_ground:
-            body = resting(load(c.starts[i + 1], 0))
-        else:
-            body = near(target, key, i + 1, s.world)
-        _place(state, w, i + 1, body, still, key, s.world)
-        for k in range(TERMS + 4):
-            room.outcomes[i, k * LANES + w % LANES] = 0.0
-        room.outcomes[i, FAILED * LANES + w % LANES] = 0.0
-    if w + 1 == len(state.counters):
-        _fill_lanes(state, w)
-
-
-# -- step -------------------------------------------------------------------------------------------
 
 
 @device
@@ -437,7 +238,7 @@ def _command(state: State, t: int, room: Scratch, s: World) -> None:
 def _fly(state: State, t: int, room: Scratch, s: World) -> None:
     """Fly all vehicles of tile `t` for one tick, sampling on the way."""
     h = s.clock.period / s.clock.substeps
-    plain = _plain(s)
+    plain = every_tick(s)
     if plain and not silent(s.noise):
         for lane in range(min(LANES, len(state.counters) - t * LANES)):
             room.counts[lane] = state.counters[t * LANES + lane, TICK] + 1
@@ -459,7 +260,7 @@ def _fly(state: State, t: int, room: Scratch, s: World) -> None:
             if low:
                 land(x, room.body, touch)
             if not plain and (not aligned or k + 1 == s.clock.substeps):
-                _sense(state, t, i, room, k, s)
+                sense_when_due(state, t, i, room, k, s)
         if plain:
             sample = state.samples[t, i, 0]
             if silent(s.noise):
@@ -481,7 +282,7 @@ def _count(state: State, c: Constants, t: int, room: Scratch, s: World) -> None:
             counters[w, TICK] = tick
             counters[w, SAMPLES] = tick * s.clock.substeps // s.clock.sample_every
             counters[w, CLOCK] += counters[w, STARTED]
-    _receive(state, t, room)
+    receive(state, t, room)
     leader, seen = state.vehicles[t, 0], room.seen[min(t, len(room.seen) - 1), 0]
     seen_before = state.seen[t]
     for i in range(len(c.offsets)):
@@ -506,59 +307,9 @@ def _locate(state: State, c: Constants, t: int, room: Scratch) -> None:
                 if j != i:
                     approach(own, state.vehicles[t, j], out)
     if vehicles > CROWD:
-        _separate_crowd(state.vehicles, t, len(state.counters), room)
+        separate_crowd(state.vehicles, t, len(state.counters), room)
     for i in range(vehicles - 1):
         separate(room.outcomes[i])
-
-
-@device
-def _line_up(tile: Any, lane: int, crowd: Crowd) -> None:
-    """Put the vehicles of one world of a tile in order, whose positions are rows 0-2 each."""
-    for i in range(len(crowd.points)):
-        for k in range(3):
-            crowd.points[i, k] = tile[i, k * LANES + lane]
-    line_up(crowd)
-
-
-@device
-def _separate_crowd(vehicles: Any, t: int, worlds: int, room: Scratch) -> None:
-    """Squared distances to the nearest other vehicle in all worlds of tile `t`, many vehicles each."""
-    square, number = room.squares[:1], room.numbers[:1]
-    for lane in range(min(LANES, worlds - t * LANES)):
-        _line_up(vehicles[t], lane, room.vehicles)
-        for i in range(len(room.outcomes)):
-            find_nearest(room.vehicles, i + 1, square, number)
-            room.outcomes[i, SEPARATION_SQUARED * LANES + lane] = square[0]
-
-
-@device
-def _know_crowd(t: int, worlds: int, room: Scratch) -> None:
-    """Numbers of the neighbours of all followers as measured, in all worlds of tile `t`."""
-    seen = room.seen[min(t, len(room.seen) - 1)]
-    n, K = len(room.actions), room.neighbours.shape[1] // LANES
-    for lane in range(min(LANES, worlds - t * LANES)):
-        _line_up(seen[1:], lane, room.followers)
-        for i in range(n):
-            find_nearest(room.followers, i, room.squares, room.numbers)
-            for m in range(K):
-                room.neighbours[i, m * LANES + lane] = room.numbers[m]
-
-
-@device
-def _know(t: int, i: int, room: Scratch) -> None:
-    """Numbers of the neighbours of follower `i` as measured, in all worlds of tile `t`, few of them."""
-    seen, n = room.seen[min(t, len(room.seen) - 1)], len(room.actions)
-    K = room.neighbours.shape[1] // LANES
-    here, candidate = min(n - 1, K), room.nearest[K]
-    for m in range(here):
-        forget(room.nearest[m])
-    for j in range(n):
-        if j != i:
-            measure(seen[i + 1], seen[j + 1], float(j), candidate)
-            for m in range(here):
-                insert(candidate, room.nearest[m])
-    for m in range(here):
-        copy(room.nearest[m], 1, room.neighbours[i], m, 1)
 
 
 @device
@@ -613,26 +364,6 @@ def _judge(state: State, t: int, room: Scratch, ends: Any, task: Task, s: Settin
 
 
 @device
-def _see_neighbours(x: Any, t: int, i: int, k: int, room: Scratch) -> None:
-    """What follower `i` sees of its nearest neighbours, from row `k` of the observation on.
-
-    Rows beyond the number of others stay as zero as they were made.
-    """
-    seen, n = room.seen[min(t, len(room.seen) - 1)], len(room.actions)
-    for m in range(min(n - 1, room.neighbours.shape[1] // LANES)):
-        if n == 2:
-            see_neighbour(x, seen[i + 1], seen[2 - i], room.neighbours[i], k, room.rows)
-            return
-        for lane in range(LANES):
-            j = int(room.neighbours[i, m * LANES + lane])
-            other = i if j < 0 else j
-            for row in range(6):
-                room.body[row * LANES + lane] = seen[other + 1, row * LANES + lane]
-        known = room.neighbours[i, m * LANES : (m + 1) * LANES]
-        see_neighbour(x, seen[i + 1], room.body, known, k + m * NEIGHBOUR, room.rows)
-
-
-@device
 def _look(
     state: State,
     c: Constants,
@@ -648,7 +379,7 @@ def _look(
     entries = len(room.rows) // LANES
     here = min(LANES, len(state.counters) - t * LANES)
     if n > CROWD and task.neighbours > 0:
-        _know_crowd(t, len(state.counters), room)
+        know_crowd(t, len(state.counters), room)
     begin, seen = state.begins[t], room.seen[min(t, len(room.seen) - 1), 0]
     for i in range(n):
         x, own = state.followers[t, i], room.seen[min(t, len(room.seen) - 1), i + 1]
@@ -658,8 +389,8 @@ def _look(
             see_guide(x, own, k, room.rows)
             k += GUIDE
         if 2 < n <= CROWD:
-            _know(t, i, room)
-        _see_neighbours(x, t, i, k, room)
+            know_few(t, i, room)
+        see_neighbours(x, t, i, k, room)
         first = t * LANES * n + i
         scatter(room.rows, entries, observations, first * entries, n * entries, here)
         scatter(room.outcomes[i], width, outputs, first * width, n * width, here)
@@ -718,7 +449,7 @@ def advance(
     one = n * sizes[10]
     for t in range(first, last):
         end = min((t + 1) * LANES, worlds)
-        _receive(state, t, work)
+        receive(state, t, work)
         flying, waiting = _prepare(state, t, actions, mask, mode, work, s.world)
         if flying > 0:
             if flying < end - t * LANES:
@@ -736,9 +467,9 @@ def advance(
                     lane = w % LANES
                     fresh = mask[w] and work.active[lane] == 0.0
                     if fresh or (judged and flying > 0 and state.counters[w, OVER] != 0):
-                        _reset(state, c, w, work, task, s)
+                        start_episode(state, c, w, work, task, s)
                         work.active[lane] = 0.0
-                _receive(state, t, work)
+                receive(state, t, work)
                 waiting = False
             _locate(state, c, t, work)
             if not triggered:

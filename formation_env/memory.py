@@ -1,7 +1,7 @@
 """The memory behind `Simulation`: which number lies where, and how it is loaded and stored.
 
-With `blocks`, `lanes` and `kernels` one layer; only these and `simulation` know the layout. World `w` is
-lane `w % LANES` of tile `w // LANES`.
+With `blocks`, `lanes` and `kernels` with its parts one layer; only these and `simulation` know the
+layout. World `w` is lane `w % LANES` of tile `w // LANES`.
 """
 
 from __future__ import annotations

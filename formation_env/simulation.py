@@ -1,6 +1,7 @@
 """Many worlds: threads, reset, seeding, saving.
 
-With `kernels`, `lanes`, `blocks` and `memory` it is the layer that knows the layout.
+With `kernels` and what it is made of, `lanes`, `memory` and `blocks`, it is the layer that knows
+the layout.
 
 Every face steps worlds through the one compiled kernel `advance`, and threads call that same
 machine code on disjoint ranges of worlds. A world's numbers depend on its key, its actions and
