@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from formation_env import FormationConfig
 from formation_env._jit import device, kernel
 from formation_env.memory import ERROR, FAILED, SEPARATION, SLOT
-from formation_env.so3 import Vector, dot
+from formation_env.so3 import Vector, dot, sub
 from formation_env.task import FAILURES, distance
 
 Floats = NDArray[np.float64]
@@ -131,7 +131,8 @@ def _score_errors(t: Tally, w: int, tick: int, steady: bool, outputs: Any) -> No
         e = _at(outputs[i], ERROR)
         square = dot(e, e)
         mean += square / n
-        largest = max(largest, np.sqrt(square))
+        largest = max(largest, square)
+    largest = np.sqrt(largest)
     t.squares[w] += mean
     t.counted[w] += 1
     t.largest[w] = max(t.largest[w], largest)
@@ -143,19 +144,18 @@ def _score_errors(t: Tally, w: int, tick: int, steady: bool, outputs: Any) -> No
 
 
 @device
-def _score_distances(t: Tally, w: int, positions: Any, outputs: Any, offsets: Any) -> None:
+def _score_distances(t: Tally, w: int, leader: Vector, outputs: Any, offsets: Any) -> None:
     """Compare one world's distances with the nominal ones."""
     n = len(outputs)
-    leader = _at(positions[0], 0)
     for i in range(n):
-        p, d = _at(positions[i + 1], 0), _at(offsets[i], 0)
+        d, slot = _at(offsets[i], 0), _at(outputs[i], SLOT)
+        p = sub(slot, _at(outputs[i], ERROR))
         off = abs(distance(leader, p) - np.sqrt(dot(d, d)))
         t.from_leader[w] = max(t.from_leader[w], off)
-        slot = _at(outputs[i], SLOT)
         for j in range(i + 1, n):
-            nominal = distance(slot, _at(outputs[j], SLOT))
-            off = abs(distance(p, _at(positions[j + 1], 0)) - nominal)
-            t.between[w] = max(t.between[w], off)
+            other = _at(outputs[j], SLOT)
+            off = distance(p, sub(other, _at(outputs[j], ERROR))) - distance(slot, other)
+            t.between[w] = max(t.between[w], abs(off))
 
 
 @device
@@ -186,39 +186,44 @@ def _failure(ended: bool, outputs: Any) -> int:
 def add_tick(
     t: Tally,
     tick: int,
-    half: int,
     live: NDArray[np.bool_],
     started: NDArray[np.bool_],
-    positions: Floats,
+    leaders: Floats,
     outputs: Floats,
-    rewards: Floats,
-    terminated: NDArray[np.bool_],
+    ends: Floats,
     actions: NDArray[np.float32],
     before: NDArray[np.float32],
     offsets: Floats,
-) -> None:
-    """Add tick number `tick` (from 1) of the worlds that are `live`.
+) -> int:
+    """Add tick number `tick` (from 1) of the worlds that are `live`; returns how many still are.
 
-    `positions` `(W, n+1, 3)`, `outputs` as `Results.outputs`, `actions` and those `before` `(W, n, k)`,
-    `offsets` the `d_i`, `(n, 3)`. Ticks after `half` are the second half.
+    `leaders` `(W, 3)` are the leaders' true positions in the second half of the time limit, empty
+    before; the followers' are in `outputs`, which with `ends` is as in `Results`. `actions` and those
+    `before` `(W, n, k)`, `offsets` the `d_i`, `(n, 3)`. `live` is changed: ended worlds are out of it.
     """
+    living = 0
     for w in range(len(live)):
         if not live[w]:
             continue
+        reward, terminated, truncated = ends[0, w], ends[1, w] > 0.0, ends[2, w] > 0.0
         if t.trigger[w] < 0 and started[w]:
             t.trigger[w], t.outside[w] = tick, tick
             t.squares[w], t.counted[w], t.largest[w] = 0.0, 0, 0.0
             t.earned[w] = 0.0
-        t.total[w] += rewards[w]
-        t.earned[w] += rewards[w]
+        t.total[w] += reward
+        t.earned[w] += reward
         t.ticks[w] += 1
-        _score_errors(t, w, tick, tick > half, outputs[w])
-        if tick > half:
-            _score_distances(t, w, positions[w], outputs[w], offsets)
+        late = len(leaders) > 0
+        _score_errors(t, w, tick, late, outputs[w])
+        if late:
+            _score_distances(t, w, _at(leaders[w], 0), outputs[w], offsets)
         for i in range(len(offsets)):
             t.separation[w] = min(t.separation[w], outputs[w, i, SEPARATION])
         _score_actions(t, w, actions[w], before[w])
-        t.failure[w] = _failure(terminated[w], outputs[w])
+        t.failure[w] = _failure(terminated, outputs[w])
+        live[w] = not (terminated or truncated)
+        living += live[w]
+    return living
 
 
 def episodes(t: Tally, config: FormationConfig) -> dict[str, Floats]:

@@ -45,32 +45,30 @@ def fly(policy: Policy, seeds: range, progress: Callable[[int], None] | None = N
     policy.reset(seed=seeds.start, worlds=worlds)
     results = simulation.reset()
     tally = begin(config, simulation.started)
-    shape = (worlds, config.followers, config.action_size)
-    before = np.zeros(shape, dtype=np.float32)
-    offsets = np.array(config.offsets)
+    actions = np.zeros((worlds, config.followers, config.action_size), dtype=np.float32)
+    offsets, nowhere = np.array(config.offsets), np.zeros((0, 3))
+    live, living = np.ones(worlds, dtype=np.bool_), worlds
     for tick in range(1, config.max_steps + 1):
-        live = ~simulation.over
         if progress is not None:
             progress(worlds)
-        if not live.any():
+        if living == 0:
             continue
-        actions = policy.act(results.observations)
-        # Ended worlds stand still, in whatever state they ended: what is decided there is void.
-        actions[~live] = 0.0
+        before, actions = actions, policy.act(results.observations)
+        if living < worlds:
+            # Ended worlds stand still, in whatever state they ended: what is decided there is void.
+            actions[~live] = 0.0
         results = simulation.step(actions, mask=live)
-        add_tick(
+        late = tick > config.max_steps // 2
+        living = add_tick(
             tally,
             tick,
-            config.max_steps // 2,
             live,
             simulation.started,
-            simulation.positions,
+            simulation.leaders if late else nowhere,
             results.outputs,
-            results.rewards,
-            results.terminated,
+            results.ends,
             actions,
             before,
             offsets,
         )
-        before = actions
     return episodes(tally, config)

@@ -1,16 +1,16 @@
-"""Logarithm, sine and cosine that the compiler can vectorise: polynomials, no calls, no branches.
+"""Elementary functions that the compiler can vectorise: polynomials, no calls, no branches.
 
 The library's own are called one number at a time, which keeps a loop over worlds from becoming vector
-code. `sin_cos` has the coefficients of Sun's fdlibm (`k_sin.c`, `k_cos.c`), good to the last digit or two
-of float64. The other two serve the normal numbers and are in float32, of which a register holds twice
-as many: polynomials through the Chebyshev nodes, evaluated in pairs of terms, since the next number
-waits for a long chain. No sum in them is of two products, of which the compiler would fuse now one and
-now the other: they round alike in every loop, to which a digit of float32 matters.
+code. `sin_cos` has the coefficients of Sun's fdlibm (`k_sin.c`, `k_cos.c`); it and `tanh` are good to the
+last digits of float64. The other two serve the normal numbers and are in float32, of which a register
+holds twice as many: polynomials through the Chebyshev nodes, evaluated in pairs of terms, since the next
+number waits for a long chain. No sum in them is of two products, of which the compiler would fuse now
+one and now the other: they round alike in every loop, to which a digit of float32 matters.
 """
 
 from __future__ import annotations
 
-from math import pi
+from math import log, pi
 
 import numpy as np
 
@@ -24,6 +24,14 @@ _ROOT_HALF = np.int32(0x3F3504F3)  # the bits of sqrt(1/2)
 
 _HALF_PI_HIGH = 1.57079632673412561417  # the first 33 bits of pi / 2
 _HALF_PI_LOW = 6.07710050650619224932e-11  # and what is left
+
+_LOG_2_HIGH = 6.93147180369123816490e-01  # the first 33 bits of log(2)
+_LOG_2_LOW = 1.90821492927058770002e-10  # and what is left
+
+# Added to a number of up to 51 bits, it leaves the whole number next to it in the last bits.
+_ROUNDER = 6755399441055744.0  # 1.5 * 2^52
+# The layout of float64.
+_MANTISSA_BITS, _BIAS = np.int64(52), np.int64(1023)
 
 
 @device
@@ -123,3 +131,43 @@ def sin_cos(x: float) -> tuple[float, float]:
     n = np.floor(x * (2.0 / pi) + 0.5)
     s, c = _sin_cos_near_zero((x - n * _HALF_PI_HIGH) - n * _HALF_PI_LOW)
     return _turn_quarters(s, c, n)
+
+
+@device
+def phase(x: float) -> complex:
+    """`exp(j x)`, the unit complex number of the angle `x` rad, for `|x|` up to some thousands."""
+    s, c = sin_cos(x)
+    return complex(c, s)
+
+
+@device
+def _exponential_minus_one(x: float) -> float:
+    """`exp(x) - 1` for `-50 < x <= 0`, relative to itself good to the last digits.
+
+    With `x = n log(2) + r` it is `2^n (exp(r) - 1) + (2^n - 1)`, without cancellation, and `2^n` is
+    put together from its bits. The polynomial is that of `(exp(r) - 1 - r) / r^2`, `|r| <= log(2) / 2`.
+    """
+    shifted = x * (1.0 / log(2.0)) + _ROUNDER
+    n = shifted - _ROUNDER
+    r = (x - n * _LOG_2_HIGH) - n * _LOG_2_LOW
+    z = r * r
+    low = (0.5 + 1.6666666666666669e-01 * r) + z * (
+        4.166666666662399e-02 + 8.333333333330051e-03 * r
+    )
+    high = (1.3888888917281794e-03 + 1.9841269863105968e-04 * r) + z * (
+        (2.480152119021773e-05 + 2.7557268378684192e-06 * r)
+        + z * (2.7620138719734004e-07 + 2.5100424157005073e-08 * r)
+    )
+    less_one = r + z * (low + (z * z) * high)
+    exponent = np.int64(np.float64(shifted).view(np.int64) + _BIAS)
+    power = np.int64(exponent << _MANTISSA_BITS).view(np.float64)
+    return power * less_one + (power - 1.0)
+
+
+@device
+def tanh(x: float) -> float:
+    """Hyperbolic tangent, `-m / (m + 2)` of `|x|` with `m = exp(-2 |x|) - 1`; from 20 on it is 1."""
+    size = abs(x)
+    m = _exponential_minus_one(-2.0 * pick(size > 20.0, 20.0, size))
+    t = -m / (m + 2.0)
+    return pick(x < 0.0, -t, t)

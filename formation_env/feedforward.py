@@ -7,11 +7,10 @@ The paper's experiment set them to zero instead, which is `planner.reference`.
 
 from __future__ import annotations
 
-from cmath import exp
-from math import tanh
 from typing import NamedTuple
 
 from formation_env._jit import device
+from formation_env.elementary import phase, pick, tanh
 from formation_env.planner import (
     Leader,
     PlannerLaw,
@@ -59,7 +58,7 @@ def actuation(f: Virtual, leader: Leader, d: Vector, law: PlannerLaw) -> Actuati
     where `e2' = -k1 k2 e2 - k3 xi`. Each line's right side needs the actuation of the lines above.
     """
     w, dc = f.omega, plane(d)
-    Rt = exp(-1j * f.theta)
+    Rt = phase(f.theta).conjugate()
     V, A = Rt * plane(leader.v), Rt * plane(leader.a)
     J, S = Rt * plane(leader.j), Rt * plane(leader.s)
     k1, k2, k3 = law.k1, law.k2, law.k3
@@ -98,7 +97,7 @@ def full_reference(f: Virtual, leader: Leader, d: Vector, law: PlannerLaw) -> Re
     """
     m = actuation(f, leader, d, law)
     w, u = f.omega, f.u
-    R = exp(1j * f.theta)
+    R = phase(f.theta)
     third = complex(m.T_dot - w * w * u, 2.0 * w * m.T + m.tau * u)
     fourth = 1j * w * third + complex(
         m.T_ddot - 2.0 * w * m.tau * u - w * w * m.T,
@@ -111,8 +110,8 @@ def full_reference(f: Virtual, leader: Leader, d: Vector, law: PlannerLaw) -> Re
     a_z = climb(f, leader, d[2], law)
     free = abs(a_z) < law.z_max
     e_a = leader.a[2] - a_z
-    j_z = leader.j[2] + law.kz1 * (leader.v[2] - f.w) + law.kz2 * e_a if free else 0.0
-    s_z = leader.s[2] + law.kz1 * e_a + law.kz2 * (leader.j[2] - j_z) if free else 0.0
+    j_z = pick(free, leader.j[2] + law.kz1 * (leader.v[2] - f.w) + law.kz2 * e_a, 0.0)
+    s_z = pick(free, leader.s[2] + law.kz1 * e_a + law.kz2 * (leader.j[2] - j_z), 0.0)
     return Reference(
         (f.p.real, f.p.imag, f.z),
         (v.real, v.imag, f.w),

@@ -1,7 +1,8 @@
 """The trajectory planner of section II: a virtual unicycle per follower keeps the leader at `d`.
 
 The plane is the complex plane, so that the equations read as printed: `R(theta)` is `exp(j theta)`,
-`R^T a` is `exp(-j theta) a`, and `S(omega) a` is `j omega a`. Height is separate (II-E).
+`R^T a` is `exp(-j theta) a`, and `S(omega) a` is `j omega a`. Height is separate (II-E). `spin` and
+`scaled` are such products too: with a whole complex number the compiler would multiply by its zeros.
 
     p_F_dot = R i u,  R_dot = R S(omega),  u_dot = T,  omega_dot = tau           (2)-(5)
     e1 = R^T (p_L - p_F) - d                                                     (6)-(7)
@@ -13,11 +14,11 @@ All angles in radians, lengths in metres, time in seconds; the plane is (north, 
 
 from __future__ import annotations
 
-from cmath import exp
-from math import atan2, tanh
+from math import atan2
 from typing import NamedTuple
 
 from formation_env._jit import device
+from formation_env.elementary import phase, tanh
 from formation_env.so3 import Vector
 from formation_env.trajectories import Reference
 
@@ -70,6 +71,18 @@ def plane(a: Vector) -> complex:
 
 
 @device
+def spin(omega: float, a: complex) -> complex:
+    """`S(omega) a`, which is `j omega a`."""
+    return complex(-omega * a.imag, omega * a.real)
+
+
+@device
+def scaled(s: float, a: complex) -> complex:
+    """`s a` with a real number `s`."""
+    return complex(s * a.real, s * a.imag)
+
+
+@device
 def saturation(x: complex, p_max: float) -> complex:
     """`sigma(x) = p_max tanh(x / p_max)`, element by element (10), as corrected in the errata."""
     return complex(p_max * tanh(x.real / p_max), p_max * tanh(x.imag / p_max))
@@ -101,9 +114,10 @@ def errors(f: Virtual, p_L: complex, v_L: complex, d: complex, law: PlannerLaw) 
 
     With them, `e1_dot = -S(omega) e1 - k1 sigma(e1) + k1 e2`.
     """
-    Rt = exp(-1j * f.theta)
+    Rt = phase(f.theta).conjugate()
     e1 = Rt * (p_L - f.p) - d
-    e2 = saturation(e1, law.p_max) + (-1j * f.omega * d + Rt * v_L - f.u) / law.k1
+    # Not divided by k1: a quotient of complex numbers branches, which no vector code can.
+    e2 = saturation(e1, law.p_max) + scaled(1.0 / law.k1, -spin(f.omega, d) + Rt * v_L - f.u)
     return PlanarErrors(e1, e2)
 
 
@@ -126,13 +140,14 @@ def control(
     `xi` go to zero exponentially and `e1` follows, from any start (theorem 1, with `k1 > 0`, `k2 > 1`,
     `k3 > 0`). It fails for `d_x = 0`, where turning no longer moves the leader sideways in {F}.
     """
-    Rt = exp(-1j * f.theta)
+    Rt = phase(f.theta).conjugate()
     e1, e2 = errors(f, p_L, v_L, d, law)
     V = Rt * v_L
-    delta = -1j * f.omega * V + Rt * a_L
-    e1_dot = -1j * f.omega * (e1 + d) + V - f.u
+    delta = -spin(f.omega, V) + Rt * a_L
+    e1_dot = -spin(f.omega, e1 + d) + V - f.u
     sigma_dot = each(saturation_slope(e1, law.p_max), e1_dot)
-    nu = delta + law.k1 * sigma_dot + law.k1**2 * law.k2 * e2 + law.k1 * law.k3 * f.xi
+    nu = delta + scaled(law.k1, sigma_dot)
+    nu += scaled(law.k1**2 * law.k2, e2) + scaled(law.k1 * law.k3, f.xi)
     return gamma_solve(nu, d)
 
 
@@ -154,17 +169,19 @@ def derivative(f: Virtual, leader: Leader, d: Vector, law: PlannerLaw) -> Virtua
     p_L, v_L, a_L = plane(leader.p), plane(leader.v), plane(leader.a)
     T, tau = control(f, p_L, v_L, a_L, plane(d), law)
     e2 = errors(f, p_L, v_L, plane(d), law).e2
-    return Virtual(f.u * exp(1j * f.theta), f.omega, T, tau, e2, f.w, climb(f, leader, d[2], law))
+    return Virtual(
+        scaled(f.u, phase(f.theta)), f.omega, T, tau, e2, f.w, climb(f, leader, d[2], law)
+    )
 
 
 @device
 def _along(f: Virtual, h: float, rate: Virtual) -> Virtual:
     return Virtual(
-        f.p + h * rate.p,
+        f.p + scaled(h, rate.p),
         f.theta + h * rate.theta,
         f.u + h * rate.u,
         f.omega + h * rate.omega,
-        f.xi + h * rate.xi,
+        f.xi + scaled(h, rate.xi),
         f.z + h * rate.z,
         f.w + h * rate.w,
     )
@@ -228,9 +245,9 @@ def reference(f: Virtual, leader: Leader, d: Vector, law: PlannerLaw) -> Referen
     Jerk and snap are zero, as in the paper's experiment. See `full_reference`.
     """
     T, _ = control(f, plane(leader.p), plane(leader.v), plane(leader.a), plane(d), law)
-    R = exp(1j * f.theta)
-    v = R * f.u
-    a = R * (T + 1j * f.omega * f.u)
+    R = phase(f.theta)
+    v = scaled(f.u, R)
+    a = R * complex(T, f.omega * f.u)
     return Reference(
         (f.p.real, f.p.imag, f.z),
         (v.real, v.imag, f.w),

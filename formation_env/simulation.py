@@ -20,6 +20,7 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from formation_env import kernels, memory
+from formation_env.blocks import LANES
 from formation_env.config import FormationConfig
 from formation_env.memory import CLOCK, EPISODE, OVER, SLOT, STARTED, TICK, Floats, Results
 from formation_env.task import Layout
@@ -160,6 +161,12 @@ class Simulation:
     def positions(self) -> Floats:
         """True positions, `(num_worlds, 1 + followers, 3)`, m, inertial; the leader first."""
         return self._vehicles[..., 0:3]
+
+    @property
+    def leaders(self) -> Floats:
+        """True positions of the leaders alone, `(num_worlds, 3)`, m, inertial."""
+        rows = self._state.vehicles[:, 0, : 3 * LANES].reshape(-1, 3, LANES)
+        return rows.transpose(0, 2, 1).reshape(-1, 3)[: self.num_worlds]
 
     @property
     def velocities(self) -> Floats:

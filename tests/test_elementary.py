@@ -8,7 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from formation_env._jit import kernel
-from formation_env.elementary import Single, log_of_unit, sin_cos, sin_cos_of_octant
+from formation_env.elementary import (
+    Single,
+    log_of_unit,
+    phase,
+    sin_cos,
+    sin_cos_of_octant,
+    tanh,
+)
 from formation_env.references import Floats
 
 Singles = npt.NDArray[np.float32]
@@ -50,3 +57,37 @@ def test_the_logarithm_of_one_and_the_sine_of_nothing_are_exact() -> None:
     assert abs(cosine - 1.0) < 1e-7
     below = np.nextafter(Single(1.0), Single(0.0))
     assert _evaluate(np.array([below]), np.zeros(1, np.float32), np.zeros(1))[0, 0] < 0.0
+
+
+@kernel
+def _saturate(x: Floats, out: Floats) -> None:
+    for k in range(len(x)):
+        out[k] = tanh(x[k])
+
+
+def _tanh(x: npt.ArrayLike) -> Floats:
+    x = np.array(x, dtype=np.float64)
+    out = np.empty_like(x)
+    _saturate(x, out)
+    return out
+
+
+def test_tanh_is_the_librarys_over_the_whole_range() -> None:
+    """To three units in the last place, from the smallest denormal to where it is 1."""
+    rng = np.random.default_rng(1)
+    x = np.concatenate([rng.uniform(-25.0, 25.0, 20000), 10.0 ** rng.uniform(-320.0, 1.5, 20000)])
+    y, expected = _tanh(x), np.tanh(x)
+    assert np.all(np.abs(y - expected) <= 4.0 * np.spacing(np.abs(expected)))
+    assert np.array_equal(y, -_tanh(-x))
+
+
+def test_tanh_at_the_ends() -> None:
+    assert _tanh([0.0, 5e-324, 20.0, 1e308, np.inf]).tolist() == [0.0, 5e-324, 1.0, 1.0, 1.0]
+    assert _tanh([-20.0, -np.inf]).tolist() == [-1.0, -1.0]
+    assert np.isnan(_tanh([np.nan])).all()
+
+
+def test_phase_is_the_complex_exponential() -> None:
+    x = np.random.default_rng(2).uniform(-1000.0, 1000.0, 200)
+    found = np.array([phase(float(a)) for a in x])
+    np.testing.assert_allclose(found, np.exp(1j * x), rtol=0, atol=5e-16)

@@ -46,30 +46,30 @@ def fly(
     live = np.array([True, False])
     for k in range(ticks):
         leader = np.array((0.1 * k, 0.0, -2.0))
-        positions = np.full((2, 3, 3), np.nan)
+        leaders = np.full((2 if k >= TICKS // 2 else 0, 3), np.nan)
+        leaders[:1] = leader
         slots = leader - OFFSETS
-        positions[0, 0], positions[0, 1:] = leader, slots - errors[k]
         outputs = np.full((2, 2, len(OUTPUTS)), np.nan)
         outputs[0, :, SLOT : SLOT + 3], outputs[0, :, ERROR : ERROR + 3] = slots, errors[k]
         outputs[0, :, SEPARATION] = 0.7 - 0.001 * k
         last = k == ticks - 1
         outputs[0, :, FAILED] = failed if last else 0
-        ended = np.array([last and (failed > 0 or leader_only), False])
+        ends = np.full((3, 2), np.nan)
+        ends[:, 0] = rewards[k], last and (failed > 0 or leader_only), k == TICKS - 1
         now = np.stack([actions[k], np.full((2, 4), np.nan, dtype=np.float32)])
-        add_tick(
+        living = add_tick(
             tally,
             k + 1,
-            TICKS // 2,
             live,
             np.array([k + 1 >= trigger, True]),
-            positions,
+            leaders,
             outputs,
-            np.array([rewards[k], np.nan]),
-            ended,
+            ends,
             now,
             before,
             OFFSETS,
         )
+        assert living == live.sum() == (not last)
         before = now
     tally.ticks[1] = 1  # only to divide by
     return {name: float(column[0]) for name, column in episodes(tally, config).items()}

@@ -298,3 +298,13 @@ def test_only_masked_worlds_are_touched() -> None:
         np.testing.assert_array_equal(new[~mask], old[~mask])
     assert (after["counters"][mask, memory.TICK] == 0).all()
     assert (after["counters"][~mask, memory.TICK] == 7).all()
+
+
+def test_leaders_come_first() -> None:
+    """In one tile and in two, whose last is not full."""
+    for worlds in (3, 19):
+        simulation = Simulation(configure("nominal"), worlds)
+        for w in range(worlds):
+            simulation.seed(w, w)
+        simulation.reset()
+        assert np.array_equal(simulation.leaders, simulation.positions[:, 0])
