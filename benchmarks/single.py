@@ -16,7 +16,7 @@ from benchmarks import peers
 from benchmarks.grid import Point, random_steps, task
 from benchmarks.timing import Sampler, in_turn, ratio, repeating, steps_within
 from formation_env import configure, formation_v0
-from formation_env.simulation import Simulation
+from formation_env.simulation import Simulation, seeded_key
 
 Say = Callable[[str], None]
 Figures = dict[str, Any]
@@ -170,20 +170,29 @@ def _scored_flight(config: Any, worlds: int) -> Sampler:
 
 
 def _bare_flight(config: Any, worlds: int) -> Sampler:
-    """As many ticks of as many worlds as a scored flight takes, resets not counted."""
+    """The simulation alone on the expert's own actions, recorded; seeding and reset are not counted."""
     simulation = Simulation(config, worlds)
-    actions = np.zeros((worlds, config.followers, config.action_size), dtype=np.float32)
+    policy = make_policy("expert", config)
+
+    def begin() -> Any:
+        for world in range(worlds):
+            simulation.seed(world, seeded_key(world))
+        return simulation.reset().observations
+
+    policy.reset(seed=0, worlds=worlds)
+    seen, recorded = begin(), []
+    for _ in range(config.max_steps):
+        recorded.append(policy.act(seen))
+        seen = simulation.step(recorded[-1]).observations
 
     def sample(count: int) -> float:
         total = 0.0
         for _ in range(count):
-            for world in range(worlds):
-                simulation.seed(world, world)
-            simulation.reset()
-            begin = time.perf_counter()
-            for _ in range(config.max_steps):
+            begin()
+            start = time.perf_counter()
+            for actions in recorded:
                 simulation.step(actions)
-            total += time.perf_counter() - begin
+            total += time.perf_counter() - start
         return total
 
     return sample
