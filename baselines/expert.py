@@ -20,18 +20,18 @@ from baselines.expert_lanes import (
     VIRTUAL,
     decide,
     open_room,
-    plan,
-    plan_derived,
+    plan_tile,
+    planner_law,
     recall,
     seen,
     start,
     take,
-    trajectory,
 )
 from baselines.policy import Policy, Rows
 from formation_env import FormationConfig
 from formation_env._jit import device, kernel
 from formation_env.blocks import LANES, carve
+from formation_env.lanes import load_reference
 from formation_env.memory import Settings, flatten, tiles, unpack
 from formation_env.planner import PlannerLaw, Virtual, errors, plane
 from formation_env.quadrotor import MOMENT
@@ -71,7 +71,7 @@ def _note_plan(out: Any, f: Virtual, rows: Any, lane: Any, law: PlannerLaw) -> N
 @device
 def _note_flight(out: Any, rows: Any, refs: Any, lane: Any, s: Settings) -> None:
     """Fill in what concerns the vehicle and the trajectory that it follows."""
-    ref = trajectory(refs, lane)
+    ref = load_reference(refs, lane)
     moment = s.world.follower_actuation == MOMENT
     gains = s.world.tracker if moment else s.world.rates_tracker
     t = tracker_errors(seen(rows, lane).motion, ref, gains)
@@ -93,7 +93,7 @@ def _note(
 ) -> None:
     """What `decide` is about to see and to follow, `(N, 26)`; its other arguments, `memory` a copy."""
     s, room = unpack(settings), open_room(space)
-    law = PlannerLaw(gains[0], gains[1], gains[2], gains[3], gains[4], gains[5], gains[6])
+    law = planner_law(gains)
     for t in range(len(memory)):
         x = carve(memory, t * VIRTUAL * LANES, (VIRTUAL * LANES,))
         take(rows, t, CORE, room)
@@ -102,10 +102,7 @@ def _note(
         own = record[t * LANES : (t + 1) * LANES]
         for lane in range(len(own)):
             _note_plan(own[lane], recall(x, np.uint64(lane)), room.rows, np.uint64(lane), law)
-        if derived:
-            plan_derived(room.rows, x, s.world.clock.period, law, room.refs)
-        else:
-            plan(room.rows, x, s.world.clock.period, law, room.refs)
+        plan_tile(room, x, s.world.clock.period, law, derived)
         for lane in range(len(own)):
             _note_flight(own[lane], room.rows, room.refs, np.uint64(lane), s)
 

@@ -17,7 +17,7 @@ from formation_env._jit import device, kernel, loop
 from formation_env.blocks import LANES, carve, gather
 from formation_env.elementary import phase
 from formation_env.feedforward import full_reference
-from formation_env.lanes import at
+from formation_env.lanes import at, load_reference, load_vector, put_vector
 from formation_env.memory import unpack
 from formation_env.planner import Leader, PlannerLaw, Virtual, advance, place, reference, scaled
 from formation_env.quadrotor import MOMENT, RATES
@@ -25,7 +25,6 @@ from formation_env.slots import in_frame, out_of_frame
 from formation_env.so3 import Vector, add, cross, pick, pick_vector, scale, sub
 from formation_env.task import CORE, GUIDE
 from formation_env.tracker import Motion
-from formation_env.trajectories import Reference
 from formation_env.world import REFERENCE, Reach, World, track
 
 Floats = NDArray[np.float64]
@@ -58,20 +57,6 @@ class Seen(NamedTuple):
 
 
 @device
-def _vector(x: Any, row: int, lane: Any) -> Vector:
-    return (
-        np.float64(x[at(row, lane)]),
-        np.float64(x[at(row + 1, lane)]),
-        np.float64(x[at(row + 2, lane)]),
-    )
-
-
-@device
-def _put(x: Any, row: int, lane: Any, a: Vector) -> None:
-    x[at(row, lane)], x[at(row + 1, lane)], x[at(row + 2, lane)] = a
-
-
-@device
 def _heading(rows: Any, lane: Any) -> complex:
     return complex(np.float64(rows[at(21, lane)]), np.float64(rows[at(22, lane)]))
 
@@ -80,16 +65,16 @@ def _heading(rows: Any, lane: Any) -> complex:
 def seen(rows: Any, lane: Any) -> Seen:
     """The measurements behind a row: the observation is a change of frame, undone here."""
     R = _heading(rows, lane)
-    d = _vector(rows, 23, lane)
-    p = _vector(rows, 31, lane)
-    v_L = out_of_frame(R, _vector(rows, 6, lane))
-    v = sub(v_L, out_of_frame(R, _vector(rows, 3, lane)))
-    p_L = add(p, out_of_frame(R, add(_vector(rows, 0, lane), d)))
-    r1 = out_of_frame(R, _vector(rows, 12, lane))
-    r3 = out_of_frame(R, _vector(rows, 15, lane))
+    d = load_vector(rows, 23, lane)
+    p = load_vector(rows, 31, lane)
+    v_L = out_of_frame(R, load_vector(rows, 6, lane))
+    v = sub(v_L, out_of_frame(R, load_vector(rows, 3, lane)))
+    p_L = add(p, out_of_frame(R, add(load_vector(rows, 0, lane), d)))
+    r1 = out_of_frame(R, load_vector(rows, 12, lane))
+    r3 = out_of_frame(R, load_vector(rows, 15, lane))
     o = (0.0, 0.0, 0.0)
-    leader = Leader(p_L, v_L, out_of_frame(R, _vector(rows, 9, lane)), o, o)
-    motion = Motion(p, v, (r1, cross(r3, r1), r3), _vector(rows, 18, lane))
+    leader = Leader(p_L, v_L, out_of_frame(R, load_vector(rows, 9, lane)), o, o)
+    motion = Motion(p, v, (r1, cross(r3, r1), r3), load_vector(rows, 18, lane))
     return Seen(motion, leader, R, d, rows[at(30, lane)] > 0.5)
 
 
@@ -97,7 +82,7 @@ def seen(rows: Any, lane: Any) -> Seen:
 def recall(x: Any, lane: Any) -> Virtual:
     """The virtual follower of a lane."""
     p, xi = complex(x[lane], x[at(1, lane)]), complex(x[at(5, lane)], x[at(6, lane)])
-    u = _vector(x, 2, lane)
+    u = load_vector(x, 2, lane)
     return Virtual(p, u[0], u[1], u[2], xi, x[at(7, lane)], x[at(8, lane)])
 
 
@@ -114,18 +99,6 @@ def _remember(x: Any, lane: Any, on: bool, f: Virtual) -> None:
     x[at(6, lane)] = pick(on, f.xi.imag, before.xi.imag)
     x[at(7, lane)] = pick(on, f.z, before.z)
     x[at(8, lane)] = pick(on, f.w, before.w)
-
-
-@device
-def trajectory(x: Any, lane: Any) -> Reference:
-    """What the virtual follower of a lane draws."""
-    return Reference(
-        _vector(x, 0, lane),
-        _vector(x, 3, lane),
-        _vector(x, 6, lane),
-        _vector(x, 9, lane),
-        _vector(x, 12, lane),
-    )
 
 
 # -- loops over the lanes of a tile ---------------------------------------------------------------
@@ -149,11 +122,11 @@ def _plan(
     if derived:
         r = full_reference(f, s.leader, s.offset, law)
     o = (0.0, 0.0, 0.0)
-    _put(refs, 0, lane, r.p)
-    _put(refs, 3, lane, pick_vector(s.started, r.v, o))
-    _put(refs, 6, lane, pick_vector(s.started, r.a, o))
-    _put(refs, 9, lane, pick_vector(s.started, r.j, o))
-    _put(refs, 12, lane, pick_vector(s.started, r.s, o))
+    put_vector(refs, 0, lane, r.p)
+    put_vector(refs, 3, lane, pick_vector(s.started, r.v, o))
+    put_vector(refs, 6, lane, pick_vector(s.started, r.a, o))
+    put_vector(refs, 9, lane, pick_vector(s.started, r.j, o))
+    put_vector(refs, 12, lane, pick_vector(s.started, r.s, o))
     _remember(x, lane, s.started, advance(f, s.leader, s.offset, h, law))
 
 
@@ -175,9 +148,24 @@ def plan_derived(rows: Any, x: Any, h: float, law: PlannerLaw, refs: Any) -> Non
 
 
 @device
+def plan_tile(room: Room, x: Any, h: float, law: PlannerLaw, derived: bool) -> None:
+    """`plan` or `plan_derived` for the tile in the room."""
+    if derived:
+        plan_derived(room.rows, x, h, law, room.refs)
+    else:
+        plan(room.rows, x, h, law, room.refs)
+
+
+@device
+def planner_law(gains: Any) -> PlannerLaw:
+    """The law from its numbers in a row."""
+    return PlannerLaw(gains[0], gains[1], gains[2], gains[3], gains[4], gains[5], gains[6])
+
+
+@device
 def _act(rows: Any, refs: Any, lane: Any, actuation: int, world: World, actions: Any) -> None:
     """The tracker's command in units of the action."""
-    w = track(seen(rows, lane).motion, trajectory(refs, lane), actuation, world)
+    w = track(seen(rows, lane).motion, load_reference(refs, lane), actuation, world)
     reach = world.reach
     actions[lane] = _unit(2.0 * w.thrust / reach.thrust - 1.0)
     actions[at(1, lane)] = _unit(w.turn[0] / reach.turn[0])
@@ -213,11 +201,11 @@ def accelerate(rows: Any, x: Any, refs: Any, h: float, reach: Reach, actions: An
     """
     for lane in range(_LANES):
         s, after = seen(rows, lane), recall(x, lane)
-        guide_p = add(s.motion.p, out_of_frame(s.heading, _vector(rows, CORE, lane)))
-        guide_v = add(s.motion.v, out_of_frame(s.heading, _vector(rows, CORE + 3, lane)))
+        guide_p = add(s.motion.p, out_of_frame(s.heading, load_vector(rows, CORE, lane)))
+        guide_v = add(s.motion.v, out_of_frame(s.heading, load_vector(rows, CORE + 3, lane)))
         v = scaled(after.u, phase(after.theta))
         wanted = sub((v.real, v.imag, after.w), guide_v)
-        a = add(scale(1.0 / h, wanted), scale(2.0, sub(_vector(refs, 0, lane), guide_p)))
+        a = add(scale(1.0 / h, wanted), scale(2.0, sub(load_vector(refs, 0, lane), guide_p)))
         b = in_frame(s.heading, a)
         actions[lane] = _unit(b[0] / reach.acceleration[0])
         actions[at(1, lane)] = _unit(b[1] / reach.acceleration[1])
@@ -278,7 +266,7 @@ def decide(
     `memory` `(tiles, 9 L)` are the virtual followers, `space` of `ROOM` numbers is overwritten.
     """
     s, room = unpack(settings), open_room(space)
-    law = PlannerLaw(gains[0], gains[1], gains[2], gains[3], gains[4], gains[5], gains[6])
+    law = planner_law(gains)
     h, level = s.world.clock.period, s.world.level
     entries = CORE + GUIDE if level == REFERENCE else CORE
     for t in range(len(memory)):
@@ -286,10 +274,7 @@ def decide(
         take(rows, t, entries, room)
         if fresh:
             start(room.rows, x)
-        if derived:
-            plan_derived(room.rows, x, h, law, room.refs)
-        else:
-            plan(room.rows, x, h, law, room.refs)
+        plan_tile(room, x, h, law, derived)
         if level == REFERENCE:
             accelerate(room.rows, x, room.refs, h, s.world.reach, room.actions)
         elif s.world.follower_actuation == MOMENT:

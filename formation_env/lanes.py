@@ -71,8 +71,13 @@ def at(row: int, lane: Any) -> Any:
 
 
 @device
-def _load(x: Any, row: int, lane: Any) -> Vector:
-    return (x[at(row, lane)], x[at(row + 1, lane)], x[at(row + 2, lane)])
+def load_vector(x: Any, row: int, lane: Any) -> Vector:
+    """Three rows of a tile from `row` on, in double precision."""
+    return (
+        np.float64(x[at(row, lane)]),
+        np.float64(x[at(row + 1, lane)]),
+        np.float64(x[at(row + 2, lane)]),
+    )
 
 
 @device
@@ -82,29 +87,27 @@ def _keep(x: Any, row: int, lane: Any, on: bool, a: float) -> None:
 
 
 @device
-def _keep_vector(x: Any, row: int, lane: Any, on: bool, a: Vector) -> None:
-    _keep(x, row, lane, on, a[0])
-    _keep(x, row + 1, lane, on, a[1])
-    _keep(x, row + 2, lane, on, a[2])
-
-
-@device
 def _body(x: Any, lane: Any) -> Body:
-    return Body(_load(x, 0, lane), _load(x, 3, lane), _four(x, 6, lane), _load(x, 10, lane))
+    return Body(
+        load_vector(x, 0, lane),
+        load_vector(x, 3, lane),
+        _four(x, 6, lane),
+        load_vector(x, 10, lane),
+    )
 
 
 @device
 def _put_body(x: Any, lane: Any, b: Body) -> None:
-    _put(x, 0, lane, b.p)
-    _put(x, 3, lane, b.v)
+    put_vector(x, 0, lane, b.p)
+    put_vector(x, 3, lane, b.v)
     _put_four(x, 6, lane, b.q)
-    _put(x, 10, lane, b.w)
+    put_vector(x, 10, lane, b.w)
 
 
 @device
 def _fly(x: Any, command: Any, lane: Any, h: float, actuation: int, frame: Airframe) -> None:
-    applied = Wrench(command[lane], _load(command, 1, lane))
-    _put_body(x, lane, fly(_body(x, lane), applied, _load(x, 13, lane), h, actuation, frame))
+    applied = Wrench(command[lane], load_vector(command, 1, lane))
+    _put_body(x, lane, fly(_body(x, lane), applied, load_vector(x, 13, lane), h, actuation, frame))
 
 
 @loop
@@ -130,7 +133,7 @@ def doubtful(x: Any, command: Any, active: Any, period: float, substep: float, m
     """
     count = 0
     for lane in range(_LANES):
-        w = _load(x, 10, lane)
+        w = load_vector(x, 10, lane)
         a = 2.0 * abs(command[lane]) / mass + GRAVITY + abs(x[at(15, lane)])
         lowest = x[at(2, lane)] + period * (abs(x[at(5, lane)]) + period * a)
         safe = (lowest < 0.0) & (substep * substep * dot(w, w) < 1.0)
@@ -154,7 +157,7 @@ def land(x: Any, before: Any, touch: Any) -> None:
 def clear_touch(touch: Any) -> None:
     """Nothing has touched the floor yet."""
     for lane in range(_LANES):
-        _put(touch, 0, lane, (0.0, 1.0, 0.0))
+        put_vector(touch, 0, lane, (0.0, 1.0, 0.0))
 
 
 @loop
@@ -201,7 +204,13 @@ def clear(row: Any) -> None:
 @device
 def _measured(x: Any, lane: Any) -> Measured:
     q = _four(x, 9, lane)
-    return Measured(_load(x, 0, lane), _load(x, 3, lane), _load(x, 6, lane), q, _load(x, 13, lane))
+    return Measured(
+        load_vector(x, 0, lane),
+        load_vector(x, 3, lane),
+        load_vector(x, 6, lane),
+        q,
+        load_vector(x, 13, lane),
+    )
 
 
 @device
@@ -210,29 +219,36 @@ def _four(x: Any, row: int, lane: Any) -> Action:
 
 
 @device
-def _put(x: Any, row: int, lane: Any, a: Vector) -> None:
+def put_vector(x: Any, row: int, lane: Any, a: Vector) -> None:
+    """Store three rows of a tile from `row` on."""
     x[at(row, lane)], x[at(row + 1, lane)], x[at(row + 2, lane)] = a
 
 
 @device
 def _put_four(x: Any, row: int, lane: Any, a: Action) -> None:
-    _put(x, row, lane, (a[0], a[1], a[2]))
+    put_vector(x, row, lane, (a[0], a[1], a[2]))
     x[at(row + 3, lane)] = a[3]
 
 
 @device
-def _lead(seen: Any, refs: Any, command: Any, lane: Any, actuation: int, world: World) -> None:
-    ref = Reference(
-        _load(refs, 0, lane),
-        _load(refs, 3, lane),
-        _load(refs, 6, lane),
-        _load(refs, 9, lane),
-        _load(refs, 12, lane),
+def load_reference(refs: Any, lane: Any) -> Reference:
+    """A trajectory's point and its derivatives, rows 0-14 of a tile."""
+    return Reference(
+        load_vector(refs, 0, lane),
+        load_vector(refs, 3, lane),
+        load_vector(refs, 6, lane),
+        load_vector(refs, 9, lane),
+        load_vector(refs, 12, lane),
     )
+
+
+@device
+def _lead(seen: Any, refs: Any, command: Any, lane: Any, actuation: int, world: World) -> None:
+    ref = load_reference(refs, lane)
     wanted = track(motion(_measured(seen, lane)), ref, actuation, world)
     applied = saturate(wanted, actuation, world.airframe)
     command[lane] = applied.thrust
-    _put(command, 1, lane, applied.turn)
+    put_vector(command, 1, lane, applied.turn)
 
 
 @loop
@@ -253,7 +269,7 @@ def lead_by_rates(seen: Any, refs: Any, command: Any, world: World) -> None:
 def _drive(action: Any, command: Any, lane: Any, actuation: int, world: World) -> None:
     applied = saturate(driven(_four(action, 0, lane), world), actuation, world.airframe)
     command[lane] = applied.thrust
-    _put(command, 1, lane, applied.turn)
+    put_vector(command, 1, lane, applied.turn)
 
 
 @loop
@@ -272,18 +288,18 @@ def drive_by_rates(action: Any, command: Any, world: World) -> None:
 
 @device
 def _exactly(x: Any, command: Any, touch: Any, lane: Any, frame: Airframe) -> Measured:
-    applied = Wrench(command[lane], _load(command, 1, lane))
+    applied = Wrench(command[lane], load_vector(command, 1, lane))
     touching = touch[at(2, lane)] > 0.0
-    return truth(_body(x, lane), applied, _load(x, 13, lane), touching, frame)
+    return truth(_body(x, lane), applied, load_vector(x, 13, lane), touching, frame)
 
 
 @device
 def _put_sample(sample: Any, lane: Any, m: Measured) -> None:
-    _put(sample, 0, lane, m.p)
-    _put(sample, 3, lane, m.v)
-    _put(sample, 6, lane, m.a)
+    put_vector(sample, 0, lane, m.p)
+    put_vector(sample, 3, lane, m.v)
+    put_vector(sample, 6, lane, m.a)
     _put_four(sample, 9, lane, m.q)
-    _put(sample, 13, lane, m.w)
+    put_vector(sample, 13, lane, m.w)
 
 
 @loop
@@ -389,12 +405,12 @@ def locate(x: Any, leader: Any, own: Any, begin: Any, started: Any, d: Vector, o
     for lane in range(_LANES):
         on = started[lane] > 0.0
         R = complex(x[at(HEADING, lane)], x[at(HEADING + 1, lane)])
-        p_L = pick_vector(on, _load(leader, 0, lane), _load(begin, 0, lane))
-        v_L = pick_vector(on, _load(leader, 3, lane), (0.0, 0.0, 0.0))
+        p_L = pick_vector(on, load_vector(leader, 0, lane), load_vector(begin, 0, lane))
+        v_L = pick_vector(on, load_vector(leader, 3, lane), (0.0, 0.0, 0.0))
         target = slot(R, p_L, v_L, d)
-        error = sub(target.p, _load(own, 0, lane))
-        _put(out, SLOT, lane, target.p)
-        _put(out, ERROR, lane, error)
+        error = sub(target.p, load_vector(own, 0, lane))
+        put_vector(out, SLOT, lane, target.p)
+        put_vector(out, ERROR, lane, error)
         out[at(ERROR_SQUARED, lane)] = dot(error, error)
         out[at(SEPARATION_SQUARED, lane)] = np.inf
 
@@ -403,7 +419,7 @@ def locate(x: Any, leader: Any, own: Any, begin: Any, started: Any, d: Vector, o
 def approach(one: Any, other: Any, out: Any) -> None:
     """Keep the least squared distance between vehicle `one` and the others in a row of `out`."""
     for lane in range(_LANES):
-        e = sub(_load(one, 0, lane), _load(other, 0, lane))
+        e = sub(load_vector(one, 0, lane), load_vector(other, 0, lane))
         row = at(SEPARATION_SQUARED, lane)
         out[row] = min(out[row], dot(e, e))
 
@@ -482,7 +498,7 @@ def see(x: Any, own: Any, leader: Any, begin: Any, started: Any, d: Vector, row:
         on = started[lane] > 0.0
         R = complex(x[at(ESTIMATE, lane)], x[at(ESTIMATE + 1, lane)])
         m = _measured(leader, lane)
-        anchor = pick_vector(on, m.p, _load(begin, 0, lane))
+        anchor = pick_vector(on, m.p, load_vector(begin, 0, lane))
         o = observe(_measured(own, lane), m, anchor, R, d, _four(x, PREVIOUS, lane), on)
         _show_vector(row, 0, lane, o.slot_error, NEAR)
         _show_vector(row, 3, lane, o.relative_velocity, RATE_BOUND)
@@ -507,7 +523,7 @@ def see_guide(x: Any, own: Any, k: int, row: Any) -> None:
     """What a follower sees of its virtual follower at level REFERENCE, from row `k` of `row` on."""
     for lane in range(_LANES):
         R = complex(x[at(ESTIMATE, lane)], x[at(ESTIMATE + 1, lane)])
-        guide = Guide(_load(x, GUIDE_P, lane), _load(x, GUIDE_V, lane))
+        guide = Guide(load_vector(x, GUIDE_P, lane), load_vector(x, GUIDE_V, lane))
         g = observe_guide(_measured(own, lane), guide, R)
         _show_vector(row, k, lane, g.p, NEAR)
         _show_vector(row, k + 3, lane, g.v, RATE_BOUND)
@@ -538,7 +554,7 @@ def forget(nearest: Any) -> None:
 def measure(own: Any, other: Any, number: float, candidate: Any) -> None:
     """Squared distance to another follower, and its number."""
     for lane in range(_LANES):
-        e = sub(_load(other, 0, lane), _load(own, 0, lane))
+        e = sub(load_vector(other, 0, lane), load_vector(own, 0, lane))
         candidate[lane] = dot(e, e)
         candidate[at(1, lane)] = number
 

@@ -20,7 +20,7 @@ from formation_env.sensors import Measured, Noise
 from formation_env.so3 import Vector
 from formation_env.task import Limits, Rewards
 from formation_env.tracker import TrackerLaw
-from formation_env.world import Action, Clock, Guide, Gusts, Reach, World
+from formation_env.world import Clock, Guide, Gusts, Reach, World
 
 if TYPE_CHECKING:
     from formation_env.config import FormationConfig
@@ -520,11 +520,6 @@ def latest(state: State, w: int, i: int) -> Measured:
     """The measurement of vehicle `i` that has arrived: the oldest in its ring."""
     samples = ring(state, w, i)
     return load_sample(samples[(state.counters[w, SAMPLES] + 1) % len(samples)])
-
-
-@device
-def previous_action(x: Any) -> Action:
-    return (x[PREVIOUS], x[PREVIOUS + 1], x[PREVIOUS + 2], x[PREVIOUS + 3])
 
 
 @device
