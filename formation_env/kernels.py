@@ -38,6 +38,7 @@ from formation_env.lanes import (
     sense,
     sense_exactly,
     separate,
+    take,
     turn_headings,
 )
 from formation_env.memory import (
@@ -136,7 +137,7 @@ def _prepare(
 
     Returns how many step and whether any is to be reset first.
     """
-    counters, executed = state.counters, room.actions
+    counters = state.counters
     flying, waiting = 0, False
     for lane in range(LANES):
         room.active[lane] = room.moving[lane] = 0.0
@@ -149,16 +150,31 @@ def _prepare(
         flying += 1
         room.active[lane] = 1.0
         room.moving[lane] = np.float64(counters[w, STARTED])
-        for i in range(actions.shape[1]):
-            for k in range(actions.shape[2]):
-                a = np.float64(actions[w, i, k])
-                executed[i, k * LANES + lane] = min(max(a, -1.0), 1.0)
         if s.gusts.kick != 0.0:
             for i in range(state.vehicles.shape[1]):
                 x = vehicle(state, w, i)
                 key = state.episode_keys[w]
                 put(x, GUST, gust(load(x, GUST), s.gusts, key, i, counters[w, TICK]))
+    if flying > 0:
+        _take(actions, t, room)
     return flying, waiting
+
+
+@device
+def _take(actions: Any, t: int, room: Scratch) -> None:
+    """The actions of tile `t`, clipped; those of lanes without a world stay what they were."""
+    worlds, n, size = actions.shape
+    flat, stride, executed = carve(actions, 0, (actions.size,)), n * size, room.actions
+    here = min(LANES, worlds - t * LANES)
+    for i in range(n):
+        for k in range(size):
+            first = t * LANES * stride + i * size + k
+            if here == LANES:
+                take(flat, first, stride, executed[i], k)
+            else:
+                for lane in range(here):
+                    a = np.float64(flat[first + lane * stride])
+                    executed[i, k * LANES + lane] = min(max(a, -1.0), 1.0)
 
 
 @device
@@ -175,7 +191,7 @@ def _lead(state: State, c: Constants, t: int, room: Scratch, kind: int, s: World
                 line[k] = row[k]
         else:
             _refer(state, w, line, kind, s)
-    for lane in range(here, LANES):
+    for lane in range(here, LANES):  # that nothing divides by zero there
         for k in range(REFERENCE_ROW):
             lines[lane * REFERENCE_ROW + k] = lines[(here - 1) * REFERENCE_ROW + k]
     gather(lines, room.refs)

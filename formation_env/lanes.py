@@ -209,6 +209,14 @@ def repeat(source: Any, sink: Any, first: int, count: int) -> None:
 
 
 @loop
+def take(actions: Any, first: int, stride: int, executed: Any, row: int) -> None:
+    """One entry of the actions of consecutive worlds, clipped, to a row of those executed."""
+    a, step = np.uint64(first), np.uint64(stride)
+    for lane in range(_LANES):
+        executed[at(row, lane)] = min(max(np.float64(actions[a + lane * step]), -1.0), 1.0)
+
+
+@loop
 def restore(saved: Any, first: int, sink: Any, rows: int, active: Any) -> None:
     """Put `rows` rows of `sink` back where a lane is not active."""
     for row in range(rows):

@@ -560,4 +560,5 @@ def episode_key(key: Any, episode: int) -> Any:
 def by_world(tiles: NDArray[Any], worlds: int) -> NDArray[Any]:
     """An array `(T, ..., rows L)` of tiles as `(worlds, ..., rows)`, a copy."""
     split = tiles.reshape(*tiles.shape[:-1], tiles.shape[-1] // LANES, LANES)
-    return np.moveaxis(split, -1, 1).reshape(-1, *split.shape[1:-1])[:worlds].copy()
+    lanes = np.moveaxis(split, -1, 1).reshape(len(tiles) * LANES, *split.shape[1:-1])
+    return lanes[:worlds].copy()
