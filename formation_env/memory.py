@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from formation_env._jit import device, plain
 from formation_env.blocks import LANES, carve, reinterpret
-from formation_env.crowd import Crowd
+from formation_env.crowd import BLOCK, MARGIN, MET_ROWS, QUEUE_ROWS, SEEKER_ROWS, Crowd
 from formation_env.quadrotor import Airframe, Body
 from formation_env.rng import philox
 from formation_env.sensors import Measured, Noise
@@ -49,6 +49,8 @@ OUTPUTS = (
 REWARD, TERMS, SLOT, ERROR, SEPARATION, FAILED = 0, 1, 5, 8, 11, 12
 # Rows of Scratch.outcomes that follow these.
 ERROR_SQUARED, SEPARATION_SQUARED, _OUTCOME = 13, 14, 15
+
+SIGHT = 8  # numbers of a vehicle in Scratch.points: p, v and two that make it a whole vector
 
 # Columns of State.followers.
 HEADING, ESTIMATE, PREVIOUS, GUIDE_P, GUIDE_V = 0, 2, 4, 8, 11
@@ -103,10 +105,9 @@ class Scratch(NamedTuple):
     outcomes: Floats  # (n, 15 L): `OUTPUTS`, then the squares of slot error and separation
     nearest: Floats  # (K+1, 2 L): neighbours by squared distance and number; a candidate
     neighbours: Floats  # (n, K L): numbers of the nearest, -1 where there is none
-    vehicles: Crowd  # room to line up all vehicles of one world
-    followers: Crowd  # and the followers, as measured
-    squares: Floats  # (K or 1,): nearest of one vehicle there
-    numbers: NDArray[np.int64]  # (K or 1,)
+    crowd: Crowd  # room to line up all vehicles of one world
+    points: Floats  # (L (n+1) 8,): position and velocity of all, world by world, and nothing
+    lines: Floats  # (16 L,): those of one neighbour in each world
     rows: NDArray[np.float32]  # (entries L,): an observation
     saved: Floats  # all vehicles and measurements of a tile some of whose worlds do not step
 
@@ -352,19 +353,31 @@ def _scratch_lengths(z: Any) -> tuple[int, ...]:
         _OUTCOME * n * L,
         2 * K * L,
         (K - 1) * n * L,
-        16 * V + 2 * K,
+        _crowd_length(V, K - 1) + SIGHT * V * L + 16 * L,
         z[10] * L // 2,
         32 * V * L,
     )
 
 
 @device
-def _open_crowd(room: Any, at: int, m: int) -> Crowd:
+def _crowd_length(m: int, K: int) -> int:
+    rows = SEEKER_ROWS + MET_ROWS + 2 * max(K, 2)
+    return 2 * m + 1 + QUEUE_ROWS * (m + 2 * MARGIN) + rows * BLOCK
+
+
+@device
+def _open_crowd(room: Any, at: int, m: int, K: int) -> Crowd:
+    queue, places = at + 2 * m + 1, m + 2 * MARGIN
+    a = queue + QUEUE_ROWS * places
+    b = a + SEEKER_ROWS * BLOCK
+    ranks = max(K, 2)
     return Crowd(
-        carve(room, at, (m, 3)),
-        reinterpret(carve(room, at + 3 * m, (m,)), np.int64),
-        carve(room, at + 4 * m, (m, 3)),
-        reinterpret(carve(room, at + 7 * m, (m,)), np.int64),
+        reinterpret(carve(room, at, (m,)), np.int64),
+        reinterpret(carve(room, at + m, (m + 1,)), np.int64),
+        carve(room, queue, (QUEUE_ROWS, places)),
+        carve(room, a, ((SEEKER_ROWS + 2 * ranks) * BLOCK,)),
+        carve(room, b + 2 * ranks * BLOCK, (MET_ROWS * BLOCK,)),
+        carve(room, b, (ranks, 2 * BLOCK)),
     )
 
 
@@ -383,6 +396,7 @@ def open_scratch(room: Any, state: State, z: Any) -> Scratch:
     i = h + lengths[7]
     j = i + lengths[8]
     o = j + lengths[9]
+    crowded = i + _crowd_length(V, K - 1)
     seen = carve(room, a, (1, V, 16 * L))
     if z[3] == 1:
         seen = carve(state.samples, 0, (z[1], V, 16 * L))
@@ -403,10 +417,9 @@ def open_scratch(room: Any, state: State, z: Any) -> Scratch:
         carve(room, f, (V - 1, _OUTCOME * L)),
         carve(room, g, (K, 2 * L)),
         carve(room, h, (V - 1, (K - 1) * L)),
-        _open_crowd(room, i, V),
-        _open_crowd(room, i + 8 * V, V - 1),
-        carve(room, i + 16 * V, (max(K - 1, 1),)),
-        reinterpret(carve(room, i + 16 * V + K, (max(K - 1, 1),)), np.int64),
+        _open_crowd(room, i, V, K - 1),
+        carve(room, crowded, (SIGHT * V * L,)),
+        carve(room, crowded + SIGHT * V * L, (16 * L,)),
         reinterpret(carve(room, j, (lengths[9],)), np.float32),
         carve(room, o, (lengths[10],)),
     )

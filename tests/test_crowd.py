@@ -12,24 +12,61 @@ from scipy.spatial import KDTree
 
 from formation_env import formations
 from formation_env._jit import kernel
-from formation_env.crowd import Crowd, find_nearest, line_up
+from formation_env.crowd import (
+    BLOCK,
+    find_nearest,
+    found_number,
+    found_square,
+    line_up,
+    number_at,
+)
+from formation_env.memory import _crowd_length, _open_crowd, load
+from formation_env.so3 import dot, sub
 
 
 @kernel
-def _nearest(points: Any, order: Any, queue: Any, rank: Any, squares: Any, numbers: Any) -> None:
-    crowd = Crowd(points, order, queue, rank)
-    line_up(crowd)
+def _nearest(points: Any, room: Any, K: int, squares: Any, numbers: Any) -> None:
+    m = len(points)
+    crowd = _open_crowd(room, 0, m, K)
+    axis = line_up(crowd, points, m)
+    for first in range(0, m, BLOCK):
+        find_nearest(crowd, axis, m, first, K)
+        for k in range(min(BLOCK, m - first)):
+            i = number_at(crowd, first + k)
+            for rank in range(squares.shape[1]):
+                squares[i, rank] = found_square(crowd, k, rank)
+                numbers[i, rank] = found_number(crowd, k, rank)
+
+
+@kernel
+def _every_pair(points: Any, squares: Any, numbers: Any) -> None:
+    """All pairs with the fused operations of the sweep, kept by distance and then by number."""
     for i in range(len(points)):
-        find_nearest(crowd, i, squares[i], numbers[i])
+        for j in range(len(points)):
+            e = sub(load(points[j], 0), load(points[i], 0))
+            r, number = dot(e, e), j
+            if i == j:
+                continue
+            for rank in range(squares.shape[1]):
+                held, holder = squares[i, rank], numbers[i, rank]
+                if r < held or (r == held and number < holder):
+                    squares[i, rank], r = r, squares[i, rank]
+                    numbers[i, rank], number = number, numbers[i, rank]
 
 
-def nearest(points: Any, k: int, order: Any = None) -> tuple[Any, Any]:
+def nearest(points: Any, k: int, room: Any = None) -> tuple[Any, Any]:
     """Squared distances and numbers of the `k` nearest others, `(m, k)`, from the sweep."""
     m = len(points)
-    squares, numbers = np.empty((m, k)), np.empty((m, k), np.int64)
-    order = np.zeros(m, np.int64) if order is None else order
-    room = order, np.empty((m, 3)), np.empty(m, np.int64)
-    _nearest(np.ascontiguousarray(points, dtype=float), *room, squares, numbers)
+    squares, numbers = np.empty((m, max(k, 1))), np.empty((m, max(k, 1)), np.int64)
+    room = np.full(_crowd_length.py_func(m, k), np.nan) if room is None else room
+    _nearest(np.ascontiguousarray(points, dtype=float), room, k, squares, numbers)
+    return squares, numbers
+
+
+def in_the_same_arithmetic(points: Any, k: int) -> tuple[Any, Any]:
+    """The same from all pairs, bit for bit."""
+    squares, numbers = np.full((len(points), k), np.inf), np.full((len(points), k), -1)
+    _every_pair(np.ascontiguousarray(points, dtype=float), squares, numbers)
     return squares, numbers
 
 
@@ -93,13 +130,50 @@ def test_whatever_the_shape(places: list[tuple[int, int, int]], scale: Any) -> N
     np.testing.assert_array_equal(numbers[:, :here], whom)
 
 
-def test_the_last_order_changes_nothing() -> None:
+def with_some_lost(draw: Any) -> Any:
+    points = draw.normal(size=(150, 3))
+    points[::7] = np.nan
+    points[3, 0], points[50, 1], points[80, 2], points[81] = np.inf, -np.inf, np.nan, -np.inf
+    return points
+
+
+HARD = {
+    **CROWDS,
+    **{
+        f"{m} on a grid": lambda draw, m=m: draw.integers(0, 6, (m, 3)) * 0.7
+        for m in (2, 15, 16, 17)
+    },
+    **{f"{m} at random": lambda draw, m=m: draw.normal(size=(m, 3)) for m in (31, 33, 64, 300)},
+    "some lost": with_some_lost,
+    "all lost": lambda draw: np.full((40, 3), np.nan),
+    "one left": lambda draw: np.vstack([np.full((40, 3), np.nan), [[1.0, 2.0, 3.0]]]),
+    "too far for squares": lambda draw: draw.normal(size=(60, 3)) * 1e200,
+    "too close for squares": lambda draw: draw.normal(size=(60, 3)) * 1e-200,
+    "sorted backwards": lambda draw: -np.sort(draw.normal(size=(120, 3)), axis=0),
+    "two camps": lambda draw: draw.normal(size=(100, 3)) + 1e9 * (np.arange(100) % 2)[:, None],
+    "far from the origin": lambda draw: draw.normal(size=(100, 3)) * 1e-3 + 1e6,
+}
+
+
+@pytest.mark.parametrize("name", HARD)
+@pytest.mark.parametrize("k", [0, 1, 2, 3, 7])
+def test_to_the_last_bit(name: str, k: int) -> None:
+    """Without numbers, of two in registers, of any number: whom all pairs give, ties included."""
+    points = HARD[name](np.random.default_rng(4))
+    squares, numbers = nearest(points, k)
+    expected, whom = in_the_same_arithmetic(points, max(k, 1))
+    np.testing.assert_array_equal(squares, expected)
+    if k > 0:
+        np.testing.assert_array_equal(numbers, whom)
+
+
+def test_what_the_room_held_before_changes_nothing() -> None:
     """Of points that moved, of others, and backwards."""
     draw = np.random.default_rng(5)
-    order = np.zeros(90, np.int64)
+    room = np.zeros(_crowd_length.py_func(90, 3))
     first = np.round(draw.normal(size=(90, 3)), 1)
     for points in (first, first + 0.1, draw.normal(size=(90, 3)), -first):
-        found, expected = nearest(points, 3, order), nearest(points, 3)
+        found, expected = nearest(points, 3, room), nearest(points, 3)
         np.testing.assert_array_equal(found[0], expected[0])
         np.testing.assert_array_equal(found[1], expected[1])
 
