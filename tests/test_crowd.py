@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import KDTree
 
-from formation_env import formations
-from formation_env._jit import kernel
+from formation_env import crowd, formations
+from formation_env._jit import kernel, plain
 from formation_env.crowd import (
     BLOCK,
     find_nearest,
@@ -27,15 +28,15 @@ from formation_env.so3 import dot, sub
 @kernel
 def _nearest(points: Any, room: Any, K: int, squares: Any, numbers: Any) -> None:
     m = len(points)
-    crowd = _open_crowd(room, 0, m, K)
-    axis = line_up(crowd, points, m)
+    room_for = _open_crowd(room, 0, m, K)
+    axis = line_up(room_for, points, m)
     for first in range(0, m, BLOCK):
-        find_nearest(crowd, axis, m, first, K)
+        find_nearest(room_for, axis, m, first, K)
         for k in range(min(BLOCK, m - first)):
-            i = number_at(crowd, first + k)
+            i = number_at(room_for, first + k)
             for rank in range(squares.shape[1]):
-                squares[i, rank] = found_square(crowd, k, rank)
-                numbers[i, rank] = found_number(crowd, k, rank)
+                squares[i, rank] = found_square(room_for, k, rank)
+                numbers[i, rank] = found_number(room_for, k, rank)
 
 
 @kernel
@@ -58,7 +59,7 @@ def nearest(points: Any, k: int, room: Any = None) -> tuple[Any, Any]:
     """Squared distances and numbers of the `k` nearest others, `(m, k)`, from the sweep."""
     m = len(points)
     squares, numbers = np.empty((m, max(k, 1))), np.empty((m, max(k, 1)), np.int64)
-    room = np.full(_crowd_length.py_func(m, k), np.nan) if room is None else room
+    room = np.full(plain(_crowd_length)(m, k), np.nan) if room is None else room
     _nearest(np.ascontiguousarray(points, dtype=float), room, k, squares, numbers)
     return squares, numbers
 
@@ -79,7 +80,7 @@ def every_pair(points: Any, k: int) -> tuple[Any, Any]:
     return np.take_along_axis(squares, numbers, axis=1), numbers
 
 
-CROWDS = {
+CROWDS: dict[str, Any] = {
     "cloud": lambda draw: draw.normal(size=(300, 3)),
     "flat": lambda draw: draw.uniform(size=(200, 3)) * [40.0, 30.0, 0.0],
     "line": lambda draw: np.outer(np.arange(100.0), [1.0, 0.5, 0.0]),
@@ -137,13 +138,18 @@ def with_some_lost(draw: Any) -> Any:
     return points
 
 
-HARD = {
+def on_a_grid(m: int) -> Any:
+    return lambda draw: draw.integers(0, 6, (m, 3)) * 0.7
+
+
+def at_random(m: int) -> Any:
+    return lambda draw: draw.normal(size=(m, 3))
+
+
+HARD: dict[str, Any] = {
     **CROWDS,
-    **{
-        f"{m} on a grid": lambda draw, m=m: draw.integers(0, 6, (m, 3)) * 0.7
-        for m in (2, 15, 16, 17)
-    },
-    **{f"{m} at random": lambda draw, m=m: draw.normal(size=(m, 3)) for m in (31, 33, 64, 300)},
+    **{f"{m} on a grid": on_a_grid(m) for m in (2, 15, 16, 17)},
+    **{f"{m} at random": at_random(m) for m in (31, 33, 64, 300)},
     "some lost": with_some_lost,
     "all lost": lambda draw: np.full((40, 3), np.nan),
     "one left": lambda draw: np.vstack([np.full((40, 3), np.nan), [[1.0, 2.0, 3.0]]]),
@@ -170,7 +176,7 @@ def test_to_the_last_bit(name: str, k: int) -> None:
 def test_what_the_room_held_before_changes_nothing() -> None:
     """Of points that moved, of others, and backwards."""
     draw = np.random.default_rng(5)
-    room = np.zeros(_crowd_length.py_func(90, 3))
+    room = np.zeros(plain(_crowd_length)(90, 3))
     first = np.round(draw.normal(size=(90, 3)), 1)
     for points in (first, first + 0.1, draw.normal(size=(90, 3)), -first):
         found, expected = nearest(points, 3, room), nearest(points, 3)
@@ -187,3 +193,21 @@ def test_who_has_left_what_can_be_computed_is_nobodys_neighbour() -> None:
     _, whom = every_pair(points[sound], 2)
     np.testing.assert_array_equal(numbers[sound], sound[whom])
     assert np.isfinite(squares[sound]).all()
+
+
+def test_the_loops_over_a_block_are_vector_code() -> None:
+    """Packed arithmetic in the machine code of each that meets, ranks or tells who goes on."""
+    queue, block, other = np.zeros((6, 90)), np.full(8 * BLOCK, np.inf), np.zeros(8 * BLOCK)
+    rank = np.zeros(2 * BLOCK)
+    calls: list[tuple[Any, tuple[Any, ...]]] = [
+        (crowd._approach, (queue, 30, 1.0, block, BLOCK)),
+        (crowd._choose_two, (queue, 30, block, BLOCK)),
+        (crowd._meet, (queue, 30, block, other, rank, BLOCK)),
+        (crowd._insert, (other, rank, BLOCK)),
+        (crowd._wanting, (queue, 30, 1.0, block, rank, BLOCK)),
+    ]
+    for loop, arguments in calls:
+        loop(*arguments)
+        code = next(iter(loop.inspect_asm().values()))
+        packed = re.findall(r"v?(?:sub|cmp\w*|mul)pd|\.2d", code)
+        assert len(packed) >= 3, loop.__name__
