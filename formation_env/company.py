@@ -5,8 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 from formation_env._jit import device
-from formation_env.blocks import LANES
-from formation_env.crowd import Crowd, find_nearest, line_up
+from formation_env.blocks import LANES, carve, turn_square
+from formation_env.crowd import (
+    BLOCK,
+    find_nearest,
+    found_number,
+    found_square,
+    line_up,
+    number_at,
+)
 from formation_env.lanes import (
     copy,
     forget,
@@ -16,6 +23,7 @@ from formation_env.lanes import (
 )
 from formation_env.memory import (
     SEPARATION_SQUARED,
+    SIGHT,
     Scratch,
 )
 from formation_env.task import NEIGHBOUR
@@ -25,36 +33,55 @@ CROWD = 30
 
 
 @device
-def _line_up(tile: Any, lane: int, crowd: Crowd) -> None:
-    """Put the vehicles of one world of a tile in order, whose positions are rows 0-2 each."""
-    for i in range(len(crowd.points)):
-        for k in range(3):
-            crowd.points[i, k] = tile[i, k * LANES + lane]
-    line_up(crowd)
+def _part(vehicles: Any, first: int, room: Scratch) -> int:
+    """Positions and velocities of the vehicles of a tile from `first` on, world by world.
+
+    Returns how many there are in a world. Number by number this would take a cache line for each.
+    """
+    points, m = room.points, len(vehicles) - first
+    stride = len(vehicles) * SIGHT
+    for i in range(m):
+        for lane in range(0, LANES, SIGHT):
+            turn_square(vehicles[first + i], lane, points, lane * stride + i * SIGHT, stride)
+    return m
+
+
+@device
+def _world(vehicles: Any, lane: int, room: Scratch) -> Any:
+    """What `_part` has put down for one world, a row for each vehicle."""
+    m = len(vehicles)
+    return carve(room.points, lane * m * SIGHT, (m, SIGHT))
 
 
 @device
 def separate_crowd(vehicles: Any, t: int, worlds: int, room: Scratch) -> None:
     """Squared distances to the nearest other vehicle in all worlds of tile `t`, many vehicles each."""
-    square, number = room.squares[:1], room.numbers[:1]
+    crowd, tile = room.crowd, vehicles[t]
+    m = _part(tile, 0, room)
     for lane in range(min(LANES, worlds - t * LANES)):
-        _line_up(vehicles[t], lane, room.vehicles)
-        for i in range(len(room.outcomes)):
-            find_nearest(room.vehicles, i + 1, square, number)
-            room.outcomes[i, SEPARATION_SQUARED * LANES + lane] = square[0]
+        axis = line_up(crowd, _world(tile, lane, room), m)
+        for first in range(0, m, BLOCK):
+            find_nearest(crowd, axis, m, first, 0)
+            for k in range(min(BLOCK, m - first)):
+                i = number_at(crowd, first + k) - 1
+                if i >= 0:
+                    room.outcomes[i, SEPARATION_SQUARED * LANES + lane] = found_square(crowd, k, 0)
 
 
 @device
 def know_crowd(t: int, worlds: int, room: Scratch) -> None:
     """Numbers of the neighbours of all followers as measured, in all worlds of tile `t`."""
-    seen = room.seen[min(t, len(room.seen) - 1)]
-    n, K = len(room.actions), room.neighbours.shape[1] // LANES
+    crowd, tile = room.crowd, room.seen[min(t, len(room.seen) - 1)]
+    m, K = _part(tile, 1, room), room.neighbours.shape[1] // LANES
     for lane in range(min(LANES, worlds - t * LANES)):
-        _line_up(seen[1:], lane, room.followers)
-        for i in range(n):
-            find_nearest(room.followers, i, room.squares, room.numbers)
-            for m in range(K):
-                room.neighbours[i, m * LANES + lane] = room.numbers[m]
+        axis = line_up(crowd, _world(tile, lane, room), m)
+        for first in range(0, m, BLOCK):
+            find_nearest(crowd, axis, m, first, K)
+            for k in range(min(BLOCK, m - first)):
+                i = number_at(crowd, first + k)
+                for rank in range(K):
+                    number = found_number(crowd, k, rank)
+                    room.neighbours[i, rank * LANES + lane] = number
 
 
 @device
@@ -75,6 +102,29 @@ def know_few(t: int, i: int, room: Scratch) -> None:
 
 
 @device
+def _fetch(tile: Any, known: Any, i: int, room: Scratch) -> None:
+    """Rows 0-5 of the followers of those numbers, a lane each, into `room.other`."""
+    for lane in range(LANES):
+        j = int(known[lane])
+        other = i if j < 0 else j
+        for row in range(6):
+            room.other[row * LANES + lane] = tile[other + 1, row * LANES + lane]
+
+
+@device
+def _fetch_from_crowd(tile: Any, known: Any, i: int, room: Scratch) -> None:
+    """The same from what `know_crowd` has put down: a line each, which are turned."""
+    stride, lines = len(tile) * SIGHT, room.lines
+    for lane in range(LANES):
+        j = int(known[lane])
+        start = lane * stride + (i if j < 0 else j) * SIGHT
+        for k in range(SIGHT):
+            lines[lane * LANES + k] = room.points[start + k]
+    for lane in range(0, LANES, SIGHT):
+        turn_square(lines, lane * LANES, room.other, lane, LANES)
+
+
+@device
 def see_neighbours(x: Any, t: int, i: int, k: int, room: Scratch) -> None:
     """What follower `i` sees of its nearest neighbours, from row `k` of the observation on.
 
@@ -85,10 +135,9 @@ def see_neighbours(x: Any, t: int, i: int, k: int, room: Scratch) -> None:
         if n == 2:
             see_neighbour(x, seen[i + 1], seen[2 - i], room.neighbours[i], k, room.rows)
             return
-        for lane in range(LANES):
-            j = int(room.neighbours[i, m * LANES + lane])
-            other = i if j < 0 else j
-            for row in range(6):
-                room.lines[row * LANES + lane] = seen[other + 1, row * LANES + lane]
-        known = room.neighbours[i, m * LANES : (m + 1) * LANES]
-        see_neighbour(x, seen[i + 1], room.lines, known, k + m * NEIGHBOUR, room.rows)
+        known = carve(room.neighbours[i], m * LANES, (LANES,))
+        if n > CROWD:
+            _fetch_from_crowd(seen, known, i, room)
+        else:
+            _fetch(seen, known, i, room)
+        see_neighbour(x, seen[i + 1], room.other, known, k + m * NEIGHBOUR, room.rows)

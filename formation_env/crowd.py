@@ -1,9 +1,13 @@
 """Nearest neighbours among many points: a sweep, for formations too large to try every pair.
 
-Points are put in order along the axis on which they are spread most; the neighbours of one are looked
-for to both sides of it until the distance along that axis alone is more than that of the neighbours
-found. The result is that of trying every pair: the same points in the same order, by distance and,
-where distances are equal, by number.
+Points are put roughly in order along the axis on which they are spread most. A block of them at a time
+then meets those further and further along to both sides, until along that axis alone nobody left can be
+nearer than whom each has found. The result is exactly that of trying every pair: the same points in
+the same order, by squared distance as computed and, where that is equal, by number.
+
+Loops over a block are the ones that the compiler vectorises; the rules are those of `lanes`. So points
+are not tried one by one until one need not go on: a branch that goes this way for one point and that
+way for the next costs more than the few distances it saves.
 """
 
 from __future__ import annotations
@@ -13,97 +17,317 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from formation_env._jit import device
+from formation_env._jit import device, loop
 
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int64]
+Vector = tuple[float, float, float]
+
+BLOCK = 16  # points that look for their neighbours side by side
+STEPS = 4  # others each of them meets at a time
+MARGIN = BLOCK + STEPS  # places before and behind the queue where nobody stands
+
+# Rows of Crowd.queue: after x, y and z of each place.
+_NUMBER, _BEHIND, _AHEAD, QUEUE_ROWS = 3, 4, 5, 6
+# Rows of Crowd.seekers: x, y, z, where along the axis, and pairs of squared distance and number.
+_ALONG, SEEKER_ROWS = 3, 4
+_NEAREST, _SECOND = 4, 6
+MET_ROWS = 2 * STEPS
+
+_BLOCK = np.uint64(BLOCK)
 
 
 class Crowd(NamedTuple):
-    """m points, and room to put them in order."""
+    """Room to line up as many as m points and to find the K nearest of each."""
 
-    points: Floats  # (m, 3)
-    order: Counts  # (m,): their numbers in the order of the last call, or zeros
-    queue: Floats  # (m, 3): the points in order, the axis of the sweep first
-    rank: Counts  # (m,): the place of each in the queue
-
-
-@device
-def _widest(points: Floats) -> int:
-    """The axis along which the points are spread most, as far as they are finite."""
-    best, widest = 0, -1.0
-    for axis in range(3):
-        low, high = np.inf, -np.inf
-        for i in range(len(points)):
-            x = points[i, axis]
-            if abs(x) < np.inf:
-                low, high = min(low, x), max(high, x)
-        if high - low > widest:
-            best, widest = axis, high - low
-    return best
+    cells: Counts  # (m,): which stretch of the axis each is in
+    ends: Counts  # (m + 1,): where in the queue those of a stretch stand
+    queue: (
+        Floats  # (QUEUE_ROWS, m + 2 MARGIN): places with position, number and bounds to both sides
+    )
+    seekers: (
+        Floats  # ((SEEKER_ROWS + 2 max(K, 2)) BLOCK,): who is looking, and whom they have found
+    )
+    met: Floats  # (MET_ROWS BLOCK,): squared distance and number of each they meet
+    found: Floats  # (max(K, 2), 2 BLOCK): the latter by rank, squared distances and numbers
 
 
 @device
-def _key(x: float) -> float:
-    """Where a coordinate stands in the queue: what is not finite comes last."""
-    return x if abs(x) < np.inf else np.inf
+def _mean(points: Any, m: int, off: Vector, once: float) -> Vector:
+    """The mean over some of the points of how far from `off` they are, or with `once = 0` of where.
 
-
-@device
-def line_up(crowd: Crowd) -> None:
-    """Put the points in order along their widest axis.
-
-    Starts from the order of the last call: points that have moved a little are in order almost at
-    once. The result does not depend on it, equal coordinates being ordered by number.
+    As far as they are finite.
     """
-    points, order, queue = crowd.points, crowd.order, crowd.queue
-    m, axis = len(points), _widest(points)
-    if m > 1 and order[0] == order[1]:
-        for i in range(m):
-            order[i] = i
-    for place in range(m):
-        i = order[place]
-        x = _key(points[i, axis])
-        k = place
-        while k > 0 and (queue[k - 1, 0] > x or (queue[k - 1, 0] == x and order[k - 1] > i)):
-            queue[k, 0], order[k] = queue[k - 1, 0], order[k - 1]
-            k -= 1
-        queue[k, 0], order[k] = x, i
-    for place in range(m):
-        i = order[place]
-        crowd.rank[i] = place
-        queue[place, 1] = points[i, (axis + 1) % 3]
-        queue[place, 2] = points[i, (axis + 2) % 3]
+    step = (1 + m // 32) | 1
+    a, b, c, n = 0.0, 0.0, 0.0, 0.0
+    for i in range(0, m, step):
+        x, y, z = points[i, 0] - off[0], points[i, 1] - off[1], points[i, 2] - off[2]
+        on = abs(x) + abs(y) + abs(z) < np.inf
+        a += (x if once == 0.0 else abs(x)) if on else 0.0
+        b += (y if once == 0.0 else abs(y)) if on else 0.0
+        c += (z if once == 0.0 else abs(z)) if on else 0.0
+        n += 1.0 if on else 0.0
+    n = max(n, 1.0)
+    return (a / n, b / n, c / n)
 
 
 @device
-def _insert(r: float, j: int, squares: Any, numbers: Any) -> None:
-    """Take point `j` at squared distance `r` in among the nearest, if it belongs there."""
-    for k in range(len(numbers)):
-        held, holder = squares[k], numbers[k]
-        if r < held or (r == held and j < holder):
-            squares[k], numbers[k] = r, j
-            r, j = held, holder
+def _spread(points: Any, m: int) -> tuple[int, float, float]:
+    """The axis along which the points are spread most, and where most of them begin and end there.
 
-
-@device
-def find_nearest(crowd: Crowd, i: int, squares: Any, numbers: Any) -> None:
-    """The points nearest to point `i`, as many as `numbers` is long: squared distances and numbers.
-
-    Where there are fewer the rest is infinity and -1.
+    A guess from some of them: speed depends on it, results do not. The mean deviation is not much
+    moved by one that is far away.
     """
-    for k in range(len(numbers)):
-        squares[k], numbers[k] = np.inf, -1
-    queue, order, place = crowd.queue, crowd.order, crowd.rank[i]
-    x, y, z = queue[place, 0], queue[place, 1], queue[place, 2]
-    for step in (-1, 1):
-        k = place + step
-        while 0 <= k < len(queue):
-            a, b, c = queue[k, 0] - x, queue[k, 1] - y, queue[k, 2] - z
-            # Nobody further along is nearer: a sum of squares is not rounded below one of them.
-            if a * a > squares[-1]:
-                break
-            r = a * a + b * b + c * c
-            if r <= squares[-1]:
-                _insert(r, order[k], squares, numbers)
-            k += step
+    mean = _mean(points, m, (0.0, 0.0, 0.0), 0.0)
+    off = _mean(points, m, mean, 1.0)
+    best, low, reach = 0, mean[0], 2.5 * off[0]
+    if 2.5 * off[1] > reach:
+        best, low, reach = 1, mean[1], 2.5 * off[1]
+    if 2.5 * off[2] > reach:
+        best, low, reach = 2, mean[2], 2.5 * off[2]
+    return best, low - reach, low + reach
+
+
+@device
+def _put_aside(queue: Floats, place: int) -> None:
+    """Nobody stands at this place, infinitely far before or behind all."""
+    for row in range(3):
+        queue[row, place] = np.inf
+    queue[_NUMBER, place] = -1.0
+    queue[_BEHIND, place], queue[_AHEAD, place] = -np.inf, np.inf
+
+
+@device
+def line_up(crowd: Crowd, points: Any, m: int) -> int:
+    """Put the first `m` of `points`, rows that begin with x, y and z, in line; returns the axis.
+
+    The order is that of equal stretches of the axis, and within one that of the numbers.
+    """
+    cells, ends, queue = crowd.cells, crowd.ends, crowd.queue
+    axis, low, high = _spread(points, m)
+    last = float(m - 1)
+    scale = m / (high - low) if high > low else 0.0
+    for c in range(m + 1):
+        ends[c] = 0
+    for i in range(m):
+        u = (points[i, axis] - low) * scale
+        u = u if u > 0.0 else 0.0
+        cell = int(u if u < last else last)
+        cells[i] = cell
+        ends[cell + 1] += 1
+    for c in range(m):
+        ends[c + 1] += ends[c]
+    for i in range(m):
+        place = ends[cells[i]] + MARGIN
+        ends[cells[i]] += 1
+        for k in range(3):
+            queue[k, place] = points[i, k]
+        queue[_NUMBER, place] = float(i)
+    for k in range(MARGIN):
+        _put_aside(queue, k)
+        _put_aside(queue, m + MARGIN + k)
+    _bound(queue, axis, m)
+    return axis
+
+
+@device
+def _bound(queue: Floats, axis: int, m: int) -> None:
+    """How far along the axis those up to a place reach at most, and those from it on at least."""
+    furthest, nearest = -np.inf, np.inf
+    for place in range(m):
+        front, back = MARGIN + place, MARGIN + m - 1 - place
+        x, y = queue[axis, front], queue[axis, back]
+        furthest = x if x > furthest else furthest
+        nearest = y if y < nearest else nearest
+        queue[_BEHIND, front], queue[_AHEAD, back] = furthest, nearest
+
+
+@device
+def _at(row: int, k: Any) -> Any:
+    """Where row `row` of a block has its entry for the one at `k`."""
+    return np.uint64(row) * _BLOCK + k
+
+
+# A loop whose length the compiler knows is unrolled before it is vectorised, and then is not: so all are
+# given their length, `many`, which is BLOCK.
+
+
+@loop
+def _begin(queue: Floats, axis: int, here: int, seekers: Any, many: int) -> None:
+    """Those from place `here` on begin to look."""
+    for k in range(np.uint64(many)):
+        place = np.uint64(here) + k
+        seekers[_at(0, k)], seekers[_at(1, k)] = queue[0, place], queue[1, place]
+        seekers[_at(2, k)], seekers[_at(_ALONG, k)] = queue[2, place], queue[axis, place]
+
+
+@loop
+def _forget(seekers: Any, rank: Any, many: int) -> None:
+    """Nobody holds this rank yet; nor ever, nearer than -1, with who has left what can be computed."""
+    for k in range(np.uint64(many)):
+        x, y, z = seekers[_at(0, k)], seekers[_at(1, k)], seekers[_at(2, k)]
+        sound = (abs(x) < np.inf) & (abs(y) < np.inf) & (abs(z) < np.inf)
+        rank[k], rank[_at(1, k)] = np.inf if sound else -1.0, -1.0
+
+
+@device
+def _before(r: float, j: float, held: float, holder: float) -> Any:
+    """Whether number `j` at squared distance `r` comes before who is held."""
+    return (r < held) | ((r == held) & (j < holder))
+
+
+@device
+def _square(queue: Floats, place: Any, x: float, y: float, z: float) -> float:
+    a, b, c = queue[0, place] - x, queue[1, place] - y, queue[2, place] - z
+    return float(a * a + b * b + c * c)
+
+
+@device
+def _open(gap: float, held: float) -> Any:
+    """Whether somebody at least `gap` further along might be as near as who is held.
+
+    A sum of squares is not rounded below one of them.
+    """
+    return (held >= 0.0) & ((gap <= 0.0) | (gap * gap <= held))
+
+
+# The commonest two searches keep what they find in registers, and in one array with who is looking:
+# with two, the compiler takes half a block at a time out of the vector loop.
+
+
+@loop
+def _approach(queue: Floats, there: int, sign: float, seekers: Any, many: int) -> int:
+    """Keep the least squared distance to the next few from place `there` on, and how many go on."""
+    count, side, after = 0, _AHEAD, there + STEPS
+    if sign < 0.0:
+        side, after = _BEHIND, there - 1
+    for k in range(np.uint64(many)):
+        x, y, z = seekers[_at(0, k)], seekers[_at(1, k)], seekers[_at(2, k)]
+        place = np.uint64(there) + k
+        least = seekers[_at(_NEAREST, k)]
+        for s in range(STEPS):
+            r = _square(queue, place + np.uint64(s), x, y, z)
+            least = r if r < least else least
+        seekers[_at(_NEAREST, k)] = least
+        gap = sign * (queue[side, np.uint64(after) + k] - seekers[_at(_ALONG, k)])
+        count += _open(gap, least)
+    return count
+
+
+@loop
+def _choose_two(queue: Floats, there: int, seekers: Any, many: int) -> None:
+    """Keep the nearest two among the next few from place `there` on."""
+    for k in range(np.uint64(many)):
+        x, y, z = seekers[_at(0, k)], seekers[_at(1, k)], seekers[_at(2, k)]
+        place = np.uint64(there) + k
+        held, holder = seekers[_at(_NEAREST, k)], seekers[_at(_NEAREST + 1, k)]
+        other, second = seekers[_at(_SECOND, k)], seekers[_at(_SECOND + 1, k)]
+        for s in range(STEPS):
+            r, j = (
+                _square(queue, place + np.uint64(s), x, y, z),
+                queue[_NUMBER, place + np.uint64(s)],
+            )
+            on = _before(r, j, held, holder)
+            r, held = held if on else r, r if on else held
+            j, holder = holder if on else j, j if on else holder
+            on = _before(r, j, other, second)
+            other, second = r if on else other, j if on else second
+        seekers[_at(_NEAREST, k)], seekers[_at(_NEAREST + 1, k)] = held, holder
+        seekers[_at(_SECOND, k)], seekers[_at(_SECOND + 1, k)] = other, second
+
+
+@loop
+def _meet(queue: Floats, there: int, seekers: Any, met: Any, rank: Any, many: int) -> int:
+    """Squared distances and numbers of the next few; whether one is as near as who holds the rank."""
+    near = 0
+    for k in range(np.uint64(many)):
+        x, y, z = seekers[_at(0, k)], seekers[_at(1, k)], seekers[_at(2, k)]
+        place = np.uint64(there) + k
+        least = np.inf
+        for s in range(STEPS):
+            r = _square(queue, place + np.uint64(s), x, y, z)
+            met[_at(2 * s, k)] = r
+            met[_at(2 * s + 1, k)] = queue[_NUMBER, place + np.uint64(s)]
+            least = r if r < least else least
+        near += least <= rank[k]
+    return near
+
+
+@loop
+def _insert(met: Any, rank: Any, many: int) -> None:
+    """Let those met take the rank where they are nearer; who held it is met instead."""
+    for k in range(np.uint64(many)):
+        held, holder = rank[k], rank[_at(1, k)]
+        for s in range(STEPS):
+            r, j = met[_at(2 * s, k)], met[_at(2 * s + 1, k)]
+            on = _before(r, j, held, holder)
+            met[_at(2 * s, k)] = held if on else r
+            met[_at(2 * s + 1, k)] = holder if on else j
+            held, holder = r if on else held, j if on else holder
+        rank[k], rank[_at(1, k)] = held, holder
+
+
+@loop
+def _wanting(queue: Floats, there: int, sign: float, seekers: Any, rank: Any, many: int) -> int:
+    """How many go on after the next few from place `there` on."""
+    count, side, after = 0, _AHEAD, there + STEPS
+    if sign < 0.0:
+        side, after = _BEHIND, there - 1
+    for k in range(np.uint64(many)):
+        gap = sign * (queue[side, np.uint64(after) + k] - seekers[_at(_ALONG, k)])
+        count += _open(gap, rank[k])
+    return count
+
+
+@device
+def _look_at(crowd: Crowd, there: int, sign: float, K: int) -> int:
+    """Those of the block meet the next few from place `there` on; how many have to go on."""
+    queue, seekers, met, found = crowd.queue, crowd.seekers, crowd.met, crowd.found
+    if K == 0:
+        return _approach(queue, there, sign, seekers, BLOCK)
+    if K == 2:
+        _choose_two(queue, there, seekers, BLOCK)
+    elif _meet(queue, there, seekers, met, found[K - 1], BLOCK) > 0:
+        for rank in range(K):
+            _insert(met, found[rank], BLOCK)
+    return _wanting(queue, there, sign, seekers, found[K - 1], BLOCK)
+
+
+@device
+def find_nearest(crowd: Crowd, axis: int, m: int, first: int, K: int) -> None:
+    """The `K` nearest of those at the `BLOCK` places of the queue from `first` on, into `found`.
+
+    Of the `m` lined up along `axis`. With `K = 0` the squared distance to the nearest and no number.
+    Where there is nobody, the number is -1.
+    """
+    here, d = first + MARGIN, 1
+    _begin(crowd.queue, axis, here, crowd.seekers, BLOCK)
+    for rank in range(max(K, 1)):
+        _forget(crowd.seekers, crowd.found[rank], BLOCK)
+    up = down = True
+    while up or down:
+        if up:
+            up = _look_at(crowd, here + d, 1.0, K) > 0 and first + d + STEPS < m
+        if down:
+            more = _look_at(crowd, here - d - STEPS + 1, -1.0, K) > 0
+            down = more and first + BLOCK > d + STEPS
+        d += STEPS
+
+
+@device
+def number_at(crowd: Crowd, place: int) -> int:
+    """The number of the point at a place of the queue."""
+    return int(crowd.queue[_NUMBER, MARGIN + place])
+
+
+@device
+def found_square(crowd: Crowd, k: int, rank: int) -> float:
+    """Squared distance from the `k`-th of the block to its nearest of that rank; infinity if none."""
+    r = crowd.found[rank, k]
+    return float(r) if r >= 0.0 else np.inf
+
+
+@device
+def found_number(crowd: Crowd, k: int, rank: int) -> float:
+    """The number of that nearest, or -1 if there is none."""
+    return float(crowd.found[rank, BLOCK + k])

@@ -602,11 +602,11 @@ def measure(own: Any, other: Any, number: float, candidate: Any) -> None:
 def insert(candidate: Any, nearest: Any) -> None:
     """Take the candidate in where it is nearer than who is there, who becomes the candidate.
 
-    Of two equally far the one that came first stays.
+    Of two equally far the one with the smaller number is the nearer.
     """
     for lane in range(_LANES):
         r, number = candidate[lane], candidate[at(1, lane)]
         held, holder = nearest[lane], nearest[at(1, lane)]
-        on = r < held
+        on = (r < held) | ((r == held) & (number < holder))
         nearest[lane], nearest[at(1, lane)] = pick(on, r, held), pick(on, number, holder)
         candidate[lane], candidate[at(1, lane)] = pick(on, held, r), pick(on, holder, number)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from formation_env._jit import device, plain
 from formation_env.blocks import LANES, carve, reinterpret
-from formation_env.crowd import Crowd
+from formation_env.crowd import BLOCK, MARGIN, MET_ROWS, QUEUE_ROWS, SEEKER_ROWS, Crowd
 from formation_env.quadrotor import Airframe, Body
 from formation_env.rng import philox
 from formation_env.sensors import Measured, Noise, silent
@@ -49,6 +49,8 @@ OUTPUTS = (
 REWARD, TERMS, SLOT, ERROR, SEPARATION, FAILED = 0, 1, 5, 8, 11, 12
 # Rows of Scratch.outcomes that follow these.
 ERROR_SQUARED, SEPARATION_SQUARED, _OUTCOME = 13, 14, 15
+
+SIGHT = 8  # numbers of a vehicle in Scratch.points: p, v and two that make it a whole vector
 
 # Rows of State.vehicles: those of a measurement, then the gust where there are any.
 ATTITUDE, RATE_OF_TURN, GUST = 9, 13, 16
@@ -115,10 +117,9 @@ class Scratch(NamedTuple):
     outcomes: Floats  # (n, 15 L): `OUTPUTS`, then the squares of slot error and separation
     nearest: Floats  # (K+1, 2 L): neighbours by squared distance and number; a candidate
     neighbours: Floats  # (n, K L): numbers of the nearest, -1 where there is none
-    vehicles: Crowd  # room to line up all vehicles of one world
-    followers: Crowd  # and the followers, as measured
-    squares: Floats  # (K or 1,): nearest of one vehicle there
-    numbers: NDArray[np.int64]  # (K or 1,)
+    crowd: Crowd  # room to line up all vehicles of one world
+    points: Floats  # (L (n+1) 8,): position and velocity of all, world by world, and nothing
+    other: Floats  # (8 L,): those of one neighbour in each world
     rows: NDArray[np.float32]  # (entries L,): an observation
     saved: Floats  # all vehicles and measurements of a tile some of whose worlds do not step
 
@@ -328,10 +329,9 @@ def _scratch_lengths(z: Sizes) -> tuple[int, ...]:
         _OUTCOME * n * L,
         2 * K * L,
         (K - 1) * n * L,
-        8 * V,
-        8 * n,
-        K,
-        K,
+        _crowd_length(V, K - 1),
+        SIGHT * V * L,
+        SIGHT * L,
         z.entries * L // 2,
         saved * V * L,
     )
@@ -381,13 +381,24 @@ def open_state(memory: Any, z: Any) -> State:
     )
 
 
+def _crowd_length(m: int, K: int) -> int:
+    rows = SEEKER_ROWS + MET_ROWS + 2 * max(K, 2)
+    return 2 * m + 1 + QUEUE_ROWS * (m + 2 * MARGIN) + rows * BLOCK
+
+
 @device
-def _open_crowd(room: Any, at: int, m: int) -> Crowd:
+def _open_crowd(room: Any, at: int, m: int, K: int) -> Crowd:
+    queue, places = at + 2 * m + 1, m + 2 * MARGIN
+    a = queue + QUEUE_ROWS * places
+    b = a + SEEKER_ROWS * BLOCK
+    ranks = max(K, 2)
     return Crowd(
-        carve(room, at, (m, 3)),
-        reinterpret(carve(room, at + 3 * m, (m,)), np.int64),
-        carve(room, at + 4 * m, (m, 3)),
-        reinterpret(carve(room, at + 7 * m, (m,)), np.int64),
+        reinterpret(carve(room, at, (m,)), np.int64),
+        reinterpret(carve(room, at + m, (m + 1,)), np.int64),
+        carve(room, queue, (QUEUE_ROWS, places)),
+        carve(room, a, ((SEEKER_ROWS + 2 * ranks) * BLOCK,)),
+        carve(room, b + 2 * ranks * BLOCK, (MET_ROWS * BLOCK,)),
+        carve(room, b, (ranks, 2 * BLOCK)),
     )
 
 
@@ -419,12 +430,11 @@ def open_scratch(room: Any, state: State, z: Any) -> Scratch:
         carve(room, at[14], (V - 1, _OUTCOME * L)),
         carve(room, at[15], (K, 2 * L)),
         carve(room, at[16], (V - 1, (K - 1) * L)),
-        _open_crowd(room, at[17], V),
-        _open_crowd(room, at[18], V - 1),
-        carve(room, at[19], (max(K - 1, 1),)),
-        reinterpret(carve(room, at[20], (max(K - 1, 1),)), np.int64),
-        reinterpret(carve(room, at[21], (z[10] * L // 2,)), np.float32),
-        carve(room, at[22], (at[23] - at[22],)),
+        _open_crowd(room, at[17], V, K - 1),
+        carve(room, at[18], (SIGHT * V * L,)),
+        carve(room, at[19], (SIGHT * L,)),
+        reinterpret(carve(room, at[20], (z[10] * L // 2,)), np.float32),
+        carve(room, at[21], (at[22] - at[21],)),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -10,26 +11,63 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import KDTree
 
-from formation_env import formations
-from formation_env._jit import kernel
-from formation_env.crowd import Crowd, find_nearest, line_up
+from formation_env import crowd, formations, lanes
+from formation_env._jit import kernel, plain
+from formation_env.crowd import (
+    BLOCK,
+    find_nearest,
+    found_number,
+    found_square,
+    line_up,
+    number_at,
+)
+from formation_env.memory import _crowd_length, _open_crowd, load
+from formation_env.so3 import dot, sub
 
 
 @kernel
-def _nearest(points: Any, order: Any, queue: Any, rank: Any, squares: Any, numbers: Any) -> None:
-    crowd = Crowd(points, order, queue, rank)
-    line_up(crowd)
+def _nearest(points: Any, room: Any, K: int, squares: Any, numbers: Any) -> None:
+    m = len(points)
+    room_for = _open_crowd(room, 0, m, K)
+    axis = line_up(room_for, points, m)
+    for first in range(0, m, BLOCK):
+        find_nearest(room_for, axis, m, first, K)
+        for k in range(min(BLOCK, m - first)):
+            i = number_at(room_for, first + k)
+            for rank in range(squares.shape[1]):
+                squares[i, rank] = found_square(room_for, k, rank)
+                numbers[i, rank] = found_number(room_for, k, rank)
+
+
+@kernel
+def _every_pair(points: Any, squares: Any, numbers: Any) -> None:
+    """All pairs with the fused operations of the sweep, kept by distance and then by number."""
     for i in range(len(points)):
-        find_nearest(crowd, i, squares[i], numbers[i])
+        for j in range(len(points)):
+            e = sub(load(points[j], 0), load(points[i], 0))
+            r, number = dot(e, e), j
+            if i == j:
+                continue
+            for rank in range(squares.shape[1]):
+                held, holder = squares[i, rank], numbers[i, rank]
+                if r < held or (r == held and number < holder):
+                    squares[i, rank], r = r, squares[i, rank]
+                    numbers[i, rank], number = number, numbers[i, rank]
 
 
-def nearest(points: Any, k: int, order: Any = None) -> tuple[Any, Any]:
+def nearest(points: Any, k: int, room: Any = None) -> tuple[Any, Any]:
     """Squared distances and numbers of the `k` nearest others, `(m, k)`, from the sweep."""
     m = len(points)
-    squares, numbers = np.empty((m, k)), np.empty((m, k), np.int64)
-    order = np.zeros(m, np.int64) if order is None else order
-    room = order, np.empty((m, 3)), np.empty(m, np.int64)
-    _nearest(np.ascontiguousarray(points, dtype=float), *room, squares, numbers)
+    squares, numbers = np.empty((m, max(k, 1))), np.empty((m, max(k, 1)), np.int64)
+    room = np.full(plain(_crowd_length)(m, k), np.nan) if room is None else room
+    _nearest(np.ascontiguousarray(points, dtype=float), room, k, squares, numbers)
+    return squares, numbers
+
+
+def in_the_same_arithmetic(points: Any, k: int) -> tuple[Any, Any]:
+    """The same from all pairs, bit for bit."""
+    squares, numbers = np.full((len(points), k), np.inf), np.full((len(points), k), -1)
+    _every_pair(np.ascontiguousarray(points, dtype=float), squares, numbers)
     return squares, numbers
 
 
@@ -42,7 +80,7 @@ def every_pair(points: Any, k: int) -> tuple[Any, Any]:
     return np.take_along_axis(squares, numbers, axis=1), numbers
 
 
-CROWDS = {
+CROWDS: dict[str, Any] = {
     "cloud": lambda draw: draw.normal(size=(300, 3)),
     "flat": lambda draw: draw.uniform(size=(200, 3)) * [40.0, 30.0, 0.0],
     "line": lambda draw: np.outer(np.arange(100.0), [1.0, 0.5, 0.0]),
@@ -93,13 +131,55 @@ def test_whatever_the_shape(places: list[tuple[int, int, int]], scale: Any) -> N
     np.testing.assert_array_equal(numbers[:, :here], whom)
 
 
-def test_the_last_order_changes_nothing() -> None:
+def with_some_lost(draw: Any) -> Any:
+    points = draw.normal(size=(150, 3))
+    points[::7] = np.nan
+    points[3, 0], points[50, 1], points[80, 2], points[81] = np.inf, -np.inf, np.nan, -np.inf
+    return points
+
+
+def on_a_grid(m: int) -> Any:
+    return lambda draw: draw.integers(0, 6, (m, 3)) * 0.7
+
+
+def at_random(m: int) -> Any:
+    return lambda draw: draw.normal(size=(m, 3))
+
+
+HARD: dict[str, Any] = {
+    **CROWDS,
+    **{f"{m} on a grid": on_a_grid(m) for m in (2, 15, 16, 17)},
+    **{f"{m} at random": at_random(m) for m in (31, 33, 64, 300)},
+    "some lost": with_some_lost,
+    "all lost": lambda draw: np.full((40, 3), np.nan),
+    "one left": lambda draw: np.vstack([np.full((40, 3), np.nan), [[1.0, 2.0, 3.0]]]),
+    "too far for squares": lambda draw: draw.normal(size=(60, 3)) * 1e200,
+    "too close for squares": lambda draw: draw.normal(size=(60, 3)) * 1e-200,
+    "sorted backwards": lambda draw: -np.sort(draw.normal(size=(120, 3)), axis=0),
+    "two camps": lambda draw: draw.normal(size=(100, 3)) + 1e9 * (np.arange(100) % 2)[:, None],
+    "far from the origin": lambda draw: draw.normal(size=(100, 3)) * 1e-3 + 1e6,
+}
+
+
+@pytest.mark.parametrize("name", HARD)
+@pytest.mark.parametrize("k", [0, 1, 2, 3, 7])
+def test_to_the_last_bit(name: str, k: int) -> None:
+    """Without numbers, of two in registers, of any number: whom all pairs give, ties included."""
+    points = HARD[name](np.random.default_rng(4))
+    squares, numbers = nearest(points, k)
+    expected, whom = in_the_same_arithmetic(points, max(k, 1))
+    np.testing.assert_array_equal(squares, expected)
+    if k > 0:
+        np.testing.assert_array_equal(numbers, whom)
+
+
+def test_what_the_room_held_before_changes_nothing() -> None:
     """Of points that moved, of others, and backwards."""
     draw = np.random.default_rng(5)
-    order = np.zeros(90, np.int64)
+    room = np.zeros(plain(_crowd_length)(90, 3))
     first = np.round(draw.normal(size=(90, 3)), 1)
     for points in (first, first + 0.1, draw.normal(size=(90, 3)), -first):
-        found, expected = nearest(points, 3, order), nearest(points, 3)
+        found, expected = nearest(points, 3, room), nearest(points, 3)
         np.testing.assert_array_equal(found[0], expected[0])
         np.testing.assert_array_equal(found[1], expected[1])
 
@@ -113,3 +193,38 @@ def test_who_has_left_what_can_be_computed_is_nobodys_neighbour() -> None:
     _, whom = every_pair(points[sound], 2)
     np.testing.assert_array_equal(numbers[sound], sound[whom])
     assert np.isfinite(squares[sound]).all()
+
+
+def test_the_loops_over_a_block_are_vector_code() -> None:
+    """Packed arithmetic in the machine code of each that meets, ranks or tells who goes on."""
+    queue, block, other = np.zeros((6, 90)), np.full(8 * BLOCK, np.inf), np.zeros(8 * BLOCK)
+    rank = np.zeros(2 * BLOCK)
+    calls: list[tuple[Any, tuple[Any, ...]]] = [
+        (crowd._approach, (queue, 30, 1.0, block, BLOCK)),
+        (crowd._choose_two, (queue, 30, block, BLOCK)),
+        (crowd._meet, (queue, 30, block, other, rank, BLOCK)),
+        (crowd._insert, (other, rank, BLOCK)),
+        (crowd._wanting, (queue, 30, 1.0, block, rank, BLOCK)),
+    ]
+    for loop, arguments in calls:
+        loop(*arguments)
+        code = next(iter(loop.inspect_asm().values()))
+        packed = re.findall(r"v?(?:sub|cmp\w*|mul)pd|\.2d", code)
+        assert len(packed) >= 3, loop.__name__
+
+
+@pytest.mark.parametrize("kept", [1, 2, 4])
+def test_few_are_ordered_by_distance_and_number_too(kept: int) -> None:
+    """Small whole distances: nearly always some are equal, and somebody is pushed down the list."""
+    L, draw = lanes.LANES, np.random.default_rng(6)
+    distances = draw.integers(0, 4, (9, L)).astype(np.float64)
+    nearest, candidate = [np.zeros(2 * L) for _ in range(kept)], np.zeros(2 * L)
+    for row in nearest:
+        lanes.forget(row)
+    for number, row in enumerate(distances):
+        candidate[:L], candidate[L:] = row, number
+        for held in nearest:
+            lanes.insert(candidate, held)
+    for lane in range(L):
+        expected = sorted(range(9), key=lambda j: (distances[j, lane], j))[:kept]
+        assert [row[L + lane] for row in nearest] == expected
