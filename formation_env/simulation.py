@@ -11,10 +11,10 @@ nothing else, so they are bit for bit those of any other number of worlds or thr
 from __future__ import annotations
 
 import os
-from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
+from functools import partial
 from typing import Any, NamedTuple, final
 
+import numba
 import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
@@ -24,9 +24,10 @@ from formation_env.blocks import LANES
 from formation_env.config import FormationConfig
 from formation_env.memory import CLOCK, EPISODE, OVER, SLOT, STARTED, TICK, Floats, Results
 from formation_env.task import Layout
+from formation_env.team import Team, cores
 
 # Each thread flies at least about so many.
-_VEHICLES_PER_THREAD = 4096
+_VEHICLES_PER_THREAD = 256
 
 
 class Snapshot(NamedTuple):
@@ -58,7 +59,9 @@ class Simulation:
         self._tiles = memory.tiles(num_worlds)
         # A second thread has to have enough to do; below that it would cost more than it saves.
         work = 1 + num_worlds * (config.followers + 1) // _VEHICLES_PER_THREAD
-        self._threads = min(self.threads, self._tiles, work)
+        self._threads = min(self.threads, self._tiles, work, cores())
+        if numba.config.DISABLE_JIT:
+            self._threads = 1  # Python has no atomics
         self._results = memory.Shapes(config, num_worlds).results
         self.layout: Layout = config.layout
         references = np.zeros((0, memory.REFERENCE_ROW))
@@ -68,10 +71,9 @@ class Simulation:
             references = kernels.reference_table(kind, table, period, config.max_steps)
         self._memory = memory.allocate(config, num_worlds, self.max_steps, references)
         self._state = memory.views(self._memory)[1]
-        self._rooms = [memory.scratch(self._memory) for _ in range(self.threads)]
+        self._rooms = [memory.scratch(self._memory) for _ in range(self._threads)]
         self._everyone = np.ones(num_worlds, dtype=np.bool_)
-        self._pool: ThreadPoolExecutor | None = None
-        self._pool_owner = 0
+        self._team: Team | None = None
 
     # -- stepping ---------------------------------------------------------------------------------
 
@@ -104,25 +106,12 @@ class Simulation:
     def _run(self, mode: int, actions: NDArray[np.float32], mask: Any) -> Results:
         mask = self._everyone if mask is None else mask
         results = self._results(mode == kernels.STEP_AND_RESET)
-        tiles, threads = self._tiles, self._threads
-        arguments: tuple[Any, ...] = (mode, actions, mask, self._memory)
+        # Awake before they have work, so that the time it takes is not lost.
+        desk = 0 if self._threads == 1 else self._gathered().wake()
         advance: Any = kernels.advance
-        if threads == 1:
-            bad = advance(0, tiles, *arguments, self._rooms[0], *results)
-            if bad >= 0:
-                raise self._not_finite(actions, bad)
-            return results
-        bad = kernels.first_bad_action(actions)
+        bad = advance(desk, 0, mode, actions, mask, self._memory, self._rooms[0], *results)
         if bad >= 0:
             raise self._not_finite(actions, bad)
-        edges = [tiles * i // threads for i in range(threads + 1)]
-        jobs = [
-            self._executor().submit(advance, *(a, b, *arguments, room, *results))
-            for (a, b), room in zip(pairwise(edges[1:]), self._rooms[1:], strict=False)
-        ]
-        advance(edges[0], edges[1], *arguments, self._rooms[0], *results)
-        for job in jobs:
-            job.result()
         return results
 
     def _not_finite(self, actions: NDArray[np.float32], bad: int) -> ValueError:
@@ -133,18 +122,26 @@ class Simulation:
             "expected finite numbers"
         )
 
-    def _executor(self) -> ThreadPoolExecutor:
-        # A pool does not survive a fork: its threads are not in the child.
-        if self._pool is None or self._pool_owner != os.getpid():
-            self._pool = ThreadPoolExecutor(self.threads - 1, thread_name_prefix="formation")
-            self._pool_owner = os.getpid()
-        return self._pool
+    def _gathered(self) -> Team:
+        # Threads do not survive a fork: they are not in the child.
+        if self._team is None or self._team.owner != os.getpid():
+            config = self.config
+            actions = np.zeros((0, config.followers, config.action_size), dtype=np.float32)
+            nobody, nothing = np.zeros(0, dtype=np.bool_), memory.Shapes(config, 0).results(True)
+            serve: Any = kernels.advance
+            arguments = [
+                (kernels.STEP, actions, nobody, self._memory, room, *nothing)
+                for room in self._rooms[1:]
+            ]
+            servants = [partial(_serve, serve, own) for own in arguments]
+            self._team = Team(self._tiles, servants)
+        return self._team
 
     def close(self) -> None:
         """Stop the threads, if any were started."""
-        if self._pool is not None and self._pool_owner == os.getpid():
-            self._pool.shutdown()
-        self._pool = None
+        if self._team is not None:
+            self._team.close()
+        self._team = None
 
     def limit(self, max_steps: int) -> None:
         """Truncate episodes after so many ticks, or at the configured duration if that is earlier."""
@@ -254,11 +251,15 @@ class Simulation:
 
     def __getstate__(self) -> dict[str, Any]:
         # The state's arrays are views, which a copy would cut off from the memory they show.
-        return {**self.__dict__, "_pool": None, "_state": None}
+        return {**self.__dict__, "_team": None, "_state": None}
 
     def __setstate__(self, saved: dict[str, Any]) -> None:
         self.__dict__.update(saved)
         self._state = memory.views(self._memory)[1]
+
+
+def _serve(advance: Any, arguments: tuple[Any, ...], desk: int, member: int) -> None:
+    advance(desk, member, *arguments)
 
 
 def stream_key(generator: np.random.Generator) -> int:
