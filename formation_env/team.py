@@ -11,8 +11,11 @@ A claim is a compare-and-swap on a word that holds the call's ticket and the nex
 the desk is overwritten when all its tiles are done, and then no word of that ticket has a tile left: a
 worker that has read half of the old and half of the new call claims nothing with it.
 
-A worker without work for `PATIENCE` goes to sleep, and the next call rings its bell. If the two miss each
-other the caller flies that step alone.
+Who waits asks the operating system every microsecond to let another thread run: woken, a worker often
+starts on the very core of its caller, and would keep it from posting what it waits for.
+
+A worker without work for `PATIENCE` rounds of that goes to sleep, and the next call rings its bell. If the
+two miss each other the caller flies that step alone.
 """
 
 from __future__ import annotations
@@ -36,7 +39,8 @@ from numpy.typing import NDArray
 
 from formation_env._jit import device, kernel
 
-PATIENCE = 100e-6  # s: about the cost of falling asleep and waking
+ROUND = 1e-6  # s: of waiting on the core, then others may have it
+PATIENCE = 100  # rounds: about the cost of falling asleep and waking
 
 _LINE = 64  # bytes that go from core to core together
 # Places on the desk, in bytes; each line is written by one and read by others at another time.
@@ -200,13 +204,15 @@ def posted(desk: int, k: int) -> int:
 @device
 def await_ticket(desk: int, last: int) -> int:
     """The ticket of another call than `last`, or -1 if none has come in time or none will."""
-    for _ in range(load_word(desk + _SIZES + 16)):
+    for _ in range(PATIENCE):
+        for _ in range(load_word(desk + _SIZES + 16)):
+            ticket = load_word(desk + _TICKET)
+            if ticket != last:
+                return ticket  # type: ignore[no-any-return]
+            pause()
         if load_word(desk + _CLOSED) != 0:
-            return -1
-        ticket = load_word(desk + _TICKET)
-        if ticket != last:
-            return ticket  # type: ignore[no-any-return]
-        pause()
+            break
+        give_way()
     return -1
 
 
@@ -235,13 +241,11 @@ def report(desk: int, tiles: int) -> None:
 @device
 def settle(desk: int, tiles: int) -> None:
     """Wait until the workers have done so many tiles, which they have begun."""
-    patience = load_word(desk + _SIZES + 16)
-    spun = 0
+    pauses = load_word(desk + _SIZES + 16)
     while load_word(desk + _DONE) < tiles:
-        spun += 1
-        if spun < patience:
-            pause()
-        else:
+        pause()
+        pauses -= 1
+        if pauses <= 0:
             give_way()  # maybe it is this core that the worker waits for
 
 
@@ -263,13 +267,13 @@ def cores() -> int:
 
 @cache
 def _pauses() -> int:
-    """How many `pause` take as long as `PATIENCE`: 5 to 140 cycles each, as the processor likes."""
+    """How many `pause` make a round: 5 to 140 cycles each, as the processor likes."""
     sample, least = 1000, float("inf")
     for _ in range(5):
         start = perf_counter()
         _rest(sample)
         least = min(least, perf_counter() - start)
-    return int(sample * PATIENCE / least)
+    return 1 + int(sample * ROUND / least)
 
 
 class _Worker:
