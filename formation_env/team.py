@@ -24,7 +24,7 @@ import atexit
 import os
 import threading
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from time import perf_counter
 from typing import Any, final
@@ -307,7 +307,7 @@ class Team:
     must not refer to it.
     """
 
-    def __init__(self, tiles: int, servants: list[Callable[[int, int], Any]]) -> None:
+    def __init__(self, tiles: int, servants: Sequence[Callable[[int, int], Any]]) -> None:
         self.owner = os.getpid()
         members = len(servants) + 1
         room = np.zeros((_CLAIMS + (members + 1) * _LINE) // 8, dtype=np.int64)

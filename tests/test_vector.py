@@ -13,6 +13,7 @@ import pytest
 from episodes import arrays, same, wild
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.wrappers.vector import NormalizeObservation, RecordEpisodeStatistics
+from numba import config
 
 from formation_env import Limits, kernels, simulation
 from formation_env.vector import FormationVectorEnv
@@ -149,7 +150,7 @@ def test_threads_change_no_number(worlds: int, monkeypatch: pytest.MonkeyPatch) 
     for actions in wild(60, worlds, 8):
         agree(more.step(actions), one.step(actions))
     assert one.simulation._team is None
-    assert more.simulation._team is not None or DISABLE_JIT, "the threads were not used"
+    assert more.simulation._team is not None or config.DISABLE_JIT, "the threads were not used"
     more.close()
     agree(more.step(actions), one.step(actions))
     more.close()
