@@ -3,9 +3,9 @@
 With `kernels` and what it is made of, `lanes`, `memory` and `blocks`, it is the layer that knows
 the layout.
 
-Every face steps worlds through the one compiled kernel `advance`, and threads call that same
-machine code on disjoint ranges of worlds. A world's numbers depend on its key, its actions and
-nothing else, so they are bit for bit those of any other number of worlds or threads.
+Every face steps worlds through the one compiled kernel `advance`, and the threads of a `team` are in
+that same machine code, on tiles of worlds that they take one by one. A world's numbers depend on its
+key, its actions and nothing else, so they are bit for bit those of any other number of worlds or threads.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import os
 from functools import partial
 from typing import Any, NamedTuple, final
 
-import numba
 import numpy as np
 from gymnasium.utils import seeding
+from numba import config as numba_config
 from numpy.typing import NDArray
 
 from formation_env import kernels, memory
@@ -26,8 +26,9 @@ from formation_env.memory import CLOCK, EPISODE, OVER, SLOT, STARTED, TICK, Floa
 from formation_env.task import Layout
 from formation_env.team import Team, cores
 
-# Each thread flies at least about so many.
-_VEHICLES_PER_THREAD = 256
+# Each thread has at least about so many. A worker that has to be woken pays from 384 vehicles on, and one
+# that still looks out from half of that.
+_VEHICLES_PER_THREAD = 512
 
 
 class Snapshot(NamedTuple):
@@ -60,7 +61,7 @@ class Simulation:
         # A second thread has to have enough to do; below that it would cost more than it saves.
         work = 1 + num_worlds * (config.followers + 1) // _VEHICLES_PER_THREAD
         self._threads = min(self.threads, self._tiles, work, cores())
-        if numba.config.DISABLE_JIT:
+        if numba_config.DISABLE_JIT:
             self._threads = 1  # Python has no atomics
         self._results = memory.Shapes(config, num_worlds).results
         self.layout: Layout = config.layout
@@ -106,7 +107,7 @@ class Simulation:
     def _run(self, mode: int, actions: NDArray[np.float32], mask: Any) -> Results:
         mask = self._everyone if mask is None else mask
         results = self._results(mode == kernels.STEP_AND_RESET)
-        # Awake before they have work, so that the time it takes is not lost.
+        # Rung before there is work: they wake while this thread is on its way into the kernel.
         desk = 0 if self._threads == 1 else self._gathered().wake()
         advance: Any = kernels.advance
         bad = advance(desk, 0, mode, actions, mask, self._memory, self._rooms[0], *results)
@@ -123,6 +124,7 @@ class Simulation:
         )
 
     def _gathered(self) -> Team:
+        """The threads, started when first needed."""
         # Threads do not survive a fork: they are not in the child.
         if self._team is None or self._team.owner != os.getpid():
             config = self.config
@@ -259,6 +261,7 @@ class Simulation:
 
 
 def _serve(advance: Any, arguments: tuple[Any, ...], desk: int, member: int) -> None:
+    """One stay of a worker in the kernel; `arguments` hold nothing of the `Simulation` but memory."""
     advance(desk, member, *arguments)
 
 
