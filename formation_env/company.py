@@ -89,6 +89,6 @@ def see_neighbours(x: Any, t: int, i: int, k: int, room: Scratch) -> None:
             j = int(room.neighbours[i, m * LANES + lane])
             other = i if j < 0 else j
             for row in range(6):
-                room.body[row * LANES + lane] = seen[other + 1, row * LANES + lane]
+                room.lines[row * LANES + lane] = seen[other + 1, row * LANES + lane]
         known = room.neighbours[i, m * LANES : (m + 1) * LANES]
-        see_neighbour(x, seen[i + 1], room.body, known, k + m * NEIGHBOUR, room.rows)
+        see_neighbour(x, seen[i + 1], room.lines, known, k + m * NEIGHBOUR, room.rows)

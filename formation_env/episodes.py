@@ -13,6 +13,7 @@ from formation_env.memory import (
     FAILED,
     GUIDE_P,
     GUIDE_V,
+    GUST,
     HEADING,
     OVER,
     PREVIOUS,
@@ -30,7 +31,6 @@ from formation_env.memory import (
     latest,
     load,
     put,
-    put_body,
     put_sample,
     ring,
     table_row,
@@ -46,6 +46,7 @@ from formation_env.slots import slot
 from formation_env.so3 import Vector
 from formation_env.trajectories import draw, evaluate, start_direction
 from formation_env.world import (
+    REFERENCE,
     World,
     near,
     resting,
@@ -66,13 +67,14 @@ class Task(NamedTuple):
 def _place(state: State, w: int, i: int, body: Body, a: Vector, key: Any, s: World) -> None:
     """Put a vehicle with acceleration `a` into the world, its gust still, its sensors settled."""
     x = vehicle(state, w, i)
-    put_body(x, body)
-    put(x, 13, (0.0, 0.0, 0.0))
     exact = Measured(body.p, body.v, a, body.q, body.w)
+    put_sample(x, exact)
+    if s.gusts.kick != 0.0:
+        put(x, GUST, (0.0, 0.0, 0.0))
     raw = exact
     if not silent(s.noise):
         raw = corrupt(exact, s.noise, key, i, 0)
-    for k in range(s.clock.delay + 1):
+    for k in range(state.samples.shape[2]):
         put_sample(ring(state, w, i)[k], raw)
     if i == 0:
         for k in range(s.clock.window):
@@ -142,8 +144,9 @@ def start_episode(
         for k in range(4):
             x[PREVIOUS + k] = 0.0
         target = _start_of(state, w, R, load(c.offsets[i], 0), s.world)
-        put(x, GUIDE_P, target.p)
-        put(x, GUIDE_V, target.v)
+        if s.world.level == REFERENCE:
+            put(x, GUIDE_P, target.p)
+            put(x, GUIDE_V, target.v)
         if s.world.on_ground:
             body = resting(load(c.starts[i + 1], 0))
         else:

@@ -25,8 +25,9 @@ from formation_env.lanes import (
     drive_by_rates,
     fly_by_moment,
     fly_by_rates,
+    fly_low_by_moment,
+    fly_low_by_rates,
     judge,
-    land,
     lead_by_moment,
     lead_by_rates,
     locate,
@@ -37,6 +38,7 @@ from formation_env.lanes import (
     sense,
     sense_exactly,
     separate,
+    take,
     turn_headings,
 )
 from formation_env.memory import (
@@ -45,6 +47,8 @@ from formation_env.memory import (
     ESTIMATE,
     GUIDE_P,
     GUIDE_V,
+    GUST,
+    MEASURED_ROWS,
     OUTPUTS,
     OVER,
     REFERENCE_ROW,
@@ -71,10 +75,7 @@ from formation_env.memory import (
     vehicle,
 )
 from formation_env.quadrotor import MOMENT, Wrench
-from formation_env.sampling import every_tick, receive, sense_when_due
-from formation_env.sensors import (
-    silent,
-)
+from formation_env.sampling import receive, sense_when_due
 from formation_env.task import CORE, GUIDE
 from formation_env.team import (
     address_of,
@@ -94,6 +95,7 @@ from formation_env.world import (
     Action,
     World,
     command_guided,
+    every_tick,
     guide_on,
     guided,
     gust,
@@ -145,7 +147,7 @@ def _prepare(
 
     Returns how many step and whether any is to be reset first.
     """
-    counters, executed = state.counters, room.actions
+    counters = state.counters
     flying, waiting = 0, False
     for lane in range(LANES):
         room.active[lane] = room.moving[lane] = 0.0
@@ -158,22 +160,37 @@ def _prepare(
         flying += 1
         room.active[lane] = 1.0
         room.moving[lane] = np.float64(counters[w, STARTED])
-        for i in range(actions.shape[1]):
-            for k in range(actions.shape[2]):
-                a = np.float64(actions[w, i, k])
-                executed[i, k * LANES + lane] = min(max(a, -1.0), 1.0)
         if s.gusts.kick != 0.0:
             for i in range(state.vehicles.shape[1]):
                 x = vehicle(state, w, i)
                 key = state.episode_keys[w]
-                put(x, 13, gust(load(x, 13), s.gusts, key, i, counters[w, TICK]))
+                put(x, GUST, gust(load(x, GUST), s.gusts, key, i, counters[w, TICK]))
+    if flying > 0:
+        _take(actions, t, room)
     return flying, waiting
+
+
+@device
+def _take(actions: Any, t: int, room: Scratch) -> None:
+    """The actions of tile `t`, clipped; those of lanes without a world stay what they were."""
+    worlds, n, size = actions.shape
+    flat, stride, executed = carve(actions, 0, (actions.size,)), n * size, room.actions
+    here = min(LANES, worlds - t * LANES)
+    for i in range(n):
+        for k in range(size):
+            first = t * LANES * stride + i * size + k
+            if here == LANES:
+                take(flat, first, stride, executed[i], k)
+            else:
+                for lane in range(here):
+                    a = np.float64(flat[first + lane * stride])
+                    executed[i, k * LANES + lane] = min(max(a, -1.0), 1.0)
 
 
 @device
 def _lead(state: State, c: Constants, t: int, room: Scratch, kind: int, s: World) -> None:
     """The leader's references, and its velocity before the tick, in all worlds of tile `t`."""
-    counters, table, lines = state.counters, c.references, room.body
+    counters, table, lines = state.counters, c.references, room.lines
     here = min(LANES, len(counters) - t * LANES)
     for lane in range(here):
         w = t * LANES + lane
@@ -184,7 +201,7 @@ def _lead(state: State, c: Constants, t: int, room: Scratch, kind: int, s: World
                 line[k] = row[k]
         else:
             _refer(state, w, line, kind, s)
-    for lane in range(here, LANES):
+    for lane in range(here, LANES):  # that nothing divides by zero there
         for k in range(REFERENCE_ROW):
             lines[lane * REFERENCE_ROW + k] = lines[(here - 1) * REFERENCE_ROW + k]
     gather(lines, room.refs)
@@ -195,22 +212,23 @@ def _lead(state: State, c: Constants, t: int, room: Scratch, kind: int, s: World
 @device
 def _save(state: State, t: int, room: Scratch) -> None:
     """Keep what flying changes: lanes whose worlds do not step are computed too, then put back."""
+    rows = state.vehicles.shape[2] // LANES
     for i in range(state.vehicles.shape[1]):
-        copy(state.vehicles[t, i], 0, room.saved, 32 * i, 16)
+        copy(state.vehicles[t, i], 0, room.saved, rows * i, rows)
         if state.samples.shape[2] == 1:
-            sample = state.samples[t, i, 0]
-            copy(sample, 0, room.saved, 32 * i + 16, 16)
+            at = rows * state.vehicles.shape[1] + MEASURED_ROWS * i
+            copy(state.samples[t, i, 0], 0, room.saved, at, MEASURED_ROWS)
 
 
 @device
 def _put_back(state: State, t: int, room: Scratch) -> None:
     """Undo the tick in the lanes whose worlds do not step."""
+    rows = state.vehicles.shape[2] // LANES
     for i in range(state.vehicles.shape[1]):
-        x = state.vehicles[t, i]
-        restore(room.saved, 32 * i, x, 16, room.active)
+        restore(room.saved, rows * i, state.vehicles[t, i], rows, room.active)
         if state.samples.shape[2] == 1:
-            sample = state.samples[t, i, 0]
-            restore(room.saved, 32 * i + 16, sample, 16, room.active)
+            at = rows * state.vehicles.shape[1] + MEASURED_ROWS * i
+            restore(room.saved, at, state.samples[t, i, 0], MEASURED_ROWS, room.active)
 
 
 @device
@@ -248,37 +266,38 @@ def _command(state: State, t: int, room: Scratch, s: World) -> None:
 def _fly(state: State, t: int, room: Scratch, s: World) -> None:
     """Fly all vehicles of tile `t` for one tick, sampling on the way."""
     h = s.clock.period / s.clock.substeps
-    plain = every_tick(s)
-    if plain and not silent(s.noise):
+    exact, plain = state.samples.shape[2] == 0, every_tick(s.clock)
+    if plain and not exact:
         for lane in range(min(LANES, len(state.counters) - t * LANES)):
             room.counts[lane] = state.counters[t * LANES + lane, TICK] + 1
     # In step with the ticks a measurement is due at their end; else the worlds differ.
     aligned = s.clock.sample_every % s.clock.substeps == 0
     for i in range(state.vehicles.shape[1]):
-        x = state.vehicles[t, i]
+        x, push = state.vehicles[t, i], room.still
+        if s.gusts.kick != 0.0:
+            push = carve(x, GUST * LANES, (3 * LANES,))
         actuation = s.leader_actuation if i == 0 else s.follower_actuation
         command, touch = room.commands[i], room.touches[i]
         clear_touch(touch)
-        low = doubtful(x, command, room.active, s.clock.period, h, s.airframe.mass) > 0
+        low = doubtful(x, command, push, room.active, s.clock.period, h, s.airframe.mass) > 0
         for k in range(s.clock.substeps):
-            if low:
-                copy(x, 0, room.body, 0, 13)
-            if actuation == MOMENT:
-                fly_by_moment(x, command, h, s.airframe)
+            if actuation == MOMENT and low:
+                fly_low_by_moment(x, command, push, h, s.airframe, touch)
+            elif actuation == MOMENT:
+                fly_by_moment(x, command, push, h, s.airframe)
+            elif low:
+                fly_low_by_rates(x, command, push, h, s.airframe, touch)
             else:
-                fly_by_rates(x, command, h, s.airframe)
-            if low:
-                land(x, room.body, touch)
+                fly_by_rates(x, command, push, h, s.airframe)
             if not plain and (not aligned or k + 1 == s.clock.substeps):
                 sense_when_due(state, t, i, room, k, s)
-        if plain:
+        if exact:
+            sense_exactly(x, command, push, touch, s.airframe)
+        elif plain:
             sample = state.samples[t, i, 0]
-            if silent(s.noise):
-                sense_exactly(x, command, touch, sample, s.airframe)
-            else:
-                keys = carve(state.episode_keys, t * LANES, (LANES,))
-                noise, counts, draws = s.noise, room.counts, room.draws
-                sense(x, command, touch, sample, s.airframe, noise, keys, counts, i, draws)
+            keys = carve(state.episode_keys, t * LANES, (LANES,))
+            noise, counts, draws = s.noise, room.counts, room.draws
+            sense(x, command, push, touch, sample, s.airframe, noise, keys, counts, i, draws)
 
 
 @device
@@ -559,7 +578,7 @@ def advance(
         carve(last_outputs, 0, (last_outputs.size,)),
         sizes[10],
     )
-    state, c = open_state(memory), open_constants(memory)
+    state, c = open_state(memory, sizes), open_constants(memory, sizes)
     work = open_scratch(room, state, sizes)
     task = Task(sizes[11], sizes[12], sizes[13], sizes[14])
     s = unpack(c.settings)

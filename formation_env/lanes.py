@@ -14,6 +14,7 @@ import numpy as np
 from formation_env._jit import device, loop
 from formation_env.blocks import LANES
 from formation_env.memory import (
+    ATTITUDE,
     ERROR,
     ERROR_SQUARED,
     ESTIMATE,
@@ -22,6 +23,7 @@ from formation_env.memory import (
     GUIDE_V,
     HEADING,
     PREVIOUS,
+    RATE_OF_TURN,
     REWARD,
     SEPARATION,
     SEPARATION_SQUARED,
@@ -91,8 +93,8 @@ def _body(x: Any, lane: Any) -> Body:
     return Body(
         load_vector(x, 0, lane),
         load_vector(x, 3, lane),
-        _four(x, 6, lane),
-        load_vector(x, 10, lane),
+        _four(x, ATTITUDE, lane),
+        load_vector(x, RATE_OF_TURN, lane),
     )
 
 
@@ -100,32 +102,65 @@ def _body(x: Any, lane: Any) -> Body:
 def _put_body(x: Any, lane: Any, b: Body) -> None:
     put_vector(x, 0, lane, b.p)
     put_vector(x, 3, lane, b.v)
-    _put_four(x, 6, lane, b.q)
-    put_vector(x, 10, lane, b.w)
+    _put_four(x, ATTITUDE, lane, b.q)
+    put_vector(x, RATE_OF_TURN, lane, b.w)
 
 
 @device
-def _fly(x: Any, command: Any, lane: Any, h: float, actuation: int, frame: Airframe) -> None:
+def _flown(
+    x: Any, command: Any, push: Any, lane: Any, h: float, actuation: int, frame: Airframe
+) -> Body:
     applied = Wrench(command[lane], load_vector(command, 1, lane))
-    _put_body(x, lane, fly(_body(x, lane), applied, load_vector(x, 13, lane), h, actuation, frame))
+    return fly(_body(x, lane), applied, load_vector(push, 0, lane), h, actuation, frame)
 
 
 @loop
-def fly_by_moment(x: Any, command: Any, h: float, frame: Airframe) -> None:
+def fly_by_moment(x: Any, command: Any, push: Any, h: float, frame: Airframe) -> None:
     """One substep in the air of a vehicle driven by moments, in all lanes."""
     for lane in range(_LANES):
-        _fly(x, command, lane, h, MOMENT, frame)
+        _put_body(x, lane, _flown(x, command, push, lane, h, MOMENT, frame))
 
 
 @loop
-def fly_by_rates(x: Any, command: Any, h: float, frame: Airframe) -> None:
+def fly_by_rates(x: Any, command: Any, push: Any, h: float, frame: Airframe) -> None:
     """One substep in the air of a vehicle driven by rates, in all lanes."""
     for lane in range(_LANES):
-        _fly(x, command, lane, h, RATES, frame)
+        _put_body(x, lane, _flown(x, command, push, lane, h, RATES, frame))
 
 
 @loop
-def doubtful(x: Any, command: Any, active: Any, period: float, substep: float, mass: float) -> int:
+def fly_low_by_moment(
+    x: Any, command: Any, push: Any, h: float, frame: Airframe, touch: Any
+) -> None:
+    """The same close to the floor: in the air bit for bit the same."""
+    for lane in range(_LANES):
+        _land(x, _flown(x, command, push, lane, h, MOMENT, frame), touch, lane)
+
+
+@loop
+def fly_low_by_rates(
+    x: Any, command: Any, push: Any, h: float, frame: Airframe, touch: Any
+) -> None:
+    """The same close to the floor: in the air bit for bit the same."""
+    for lane in range(_LANES):
+        _land(x, _flown(x, command, push, lane, h, RATES, frame), touch, lane)
+
+
+@device
+def _land(x: Any, flown: Body, touch: Any, lane: Any) -> None:
+    """Keep a vehicle that has flown for a substep from `x` above the floor and note the contact."""
+    kept, contact = touch_floor(flown, _body(x, lane))
+    _put_body(x, lane, kept)
+    harder = contact.touching & (contact.speed > touch[lane])
+    touch[at(1, lane)] = pick(harder, contact.uprightness, touch[at(1, lane)])
+    touch[lane] = max(touch[lane], contact.speed)
+    touch[at(2, lane)] = pick(contact.touching, 1.0, 0.0)
+
+
+@loop
+def doubtful(
+    x: Any, command: Any, push: Any, active: Any, period: float, substep: float, mass: float
+) -> int:
     """In how many active lanes a vehicle may meet the floor within `period`; 0 is certain.
 
     Bounds the distance flown by the speed and twice the acceleration possible under the thrust held;
@@ -133,24 +168,12 @@ def doubtful(x: Any, command: Any, active: Any, period: float, substep: float, m
     """
     count = 0
     for lane in range(_LANES):
-        w = load_vector(x, 10, lane)
-        a = 2.0 * abs(command[lane]) / mass + GRAVITY + abs(x[at(15, lane)])
+        w = load_vector(x, RATE_OF_TURN, lane)
+        a = 2.0 * abs(command[lane]) / mass + GRAVITY + abs(push[at(2, lane)])
         lowest = x[at(2, lane)] + period * (abs(x[at(5, lane)]) + period * a)
         safe = (lowest < 0.0) & (substep * substep * dot(w, w) < 1.0)
         count += (active[lane] > 0.0) & (not safe)
     return count
-
-
-@loop
-def land(x: Any, before: Any, touch: Any) -> None:
-    """After a substep from `before`: keep the vehicle above the floor and note the contact."""
-    for lane in range(_LANES):
-        kept, contact = touch_floor(_body(x, lane), _body(before, lane))
-        _put_body(x, lane, kept)
-        harder = contact.touching & (contact.speed > touch[lane])
-        touch[at(1, lane)] = pick(harder, contact.uprightness, touch[at(1, lane)])
-        touch[lane] = max(touch[lane], contact.speed)
-        touch[at(2, lane)] = pick(contact.touching, 1.0, 0.0)
 
 
 @loop
@@ -183,6 +206,14 @@ def repeat(source: Any, sink: Any, first: int, count: int) -> None:
     a = np.uint64(first)
     for k in range(np.uint64(count)):
         sink[a + k] = source[a + k]
+
+
+@loop
+def take(actions: Any, first: int, stride: int, executed: Any, row: int) -> None:
+    """One entry of the actions of consecutive worlds, clipped, to a row of those executed."""
+    a, step = np.uint64(first), np.uint64(stride)
+    for lane in range(_LANES):
+        executed[at(row, lane)] = min(max(np.float64(actions[a + lane * step]), -1.0), 1.0)
 
 
 @loop
@@ -287,10 +318,10 @@ def drive_by_rates(action: Any, command: Any, world: World) -> None:
 
 
 @device
-def _exactly(x: Any, command: Any, touch: Any, lane: Any, frame: Airframe) -> Measured:
+def _exactly(x: Any, command: Any, push: Any, touch: Any, lane: Any, frame: Airframe) -> Measured:
     applied = Wrench(command[lane], load_vector(command, 1, lane))
     touching = touch[at(2, lane)] > 0.0
-    return truth(_body(x, lane), applied, load_vector(x, 13, lane), touching, frame)
+    return truth(_body(x, lane), applied, load_vector(push, 0, lane), touching, frame)
 
 
 @device
@@ -303,10 +334,10 @@ def _put_sample(sample: Any, lane: Any, m: Measured) -> None:
 
 
 @loop
-def sense_exactly(x: Any, command: Any, touch: Any, sample: Any, frame: Airframe) -> None:
-    """A measurement without noise of one vehicle, in all lanes."""
+def sense_exactly(x: Any, command: Any, push: Any, touch: Any, frame: Airframe) -> None:
+    """A measurement without noise of one vehicle, in all lanes: the state itself but for `a`."""
     for lane in range(_LANES):
-        _put_sample(sample, lane, _exactly(x, command, touch, lane, frame))
+        put_vector(x, 6, lane, _exactly(x, command, push, touch, lane, frame).a)
 
 
 @loop
@@ -340,11 +371,18 @@ def _normals(draws: Any, block: int, lane: Any) -> Four:
 
 @loop
 def add_noise(
-    x: Any, command: Any, touch: Any, sample: Any, frame: Airframe, noise: Noise, draws: Any
+    x: Any,
+    command: Any,
+    push: Any,
+    touch: Any,
+    sample: Any,
+    frame: Airframe,
+    noise: Noise,
+    draws: Any,
 ) -> None:
     """A measurement with noise made of the normal numbers in `draws`, in all lanes."""
     for lane in range(_LANES):
-        exact = _exactly(x, command, touch, lane, frame)
+        exact = _exactly(x, command, push, touch, lane, frame)
         n0, n1 = _normals(draws, 0, lane), _normals(draws, 1, lane)
         n2, n3 = _normals(draws, 2, lane), _normals(draws, 3, lane)
         _put_sample(sample, lane, perturb(exact, noise, n0, n1, n2, n3))
@@ -354,6 +392,7 @@ def add_noise(
 def sense(
     x: Any,
     command: Any,
+    push: Any,
     touch: Any,
     sample: Any,
     frame: Airframe,
@@ -372,7 +411,7 @@ def sense(
     for block in range(4):
         draw(keys, counts, who, block, draws)
     make_normal(draws)
-    add_noise(x, command, touch, sample, frame, noise, draws)
+    add_noise(x, command, push, touch, sample, frame, noise, draws)
 
 
 @device

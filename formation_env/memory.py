@@ -16,11 +16,11 @@ from formation_env.blocks import LANES, carve, reinterpret
 from formation_env.crowd import Crowd
 from formation_env.quadrotor import Airframe, Body
 from formation_env.rng import philox
-from formation_env.sensors import Measured, Noise
+from formation_env.sensors import Measured, Noise, silent
 from formation_env.so3 import Vector
 from formation_env.task import Limits, Rewards
 from formation_env.tracker import TrackerLaw
-from formation_env.world import Clock, Guide, Gusts, Reach, World
+from formation_env.world import REFERENCE, Clock, Guide, Gusts, Reach, World, every_tick
 
 if TYPE_CHECKING:
     from formation_env.config import FormationConfig
@@ -50,19 +50,28 @@ REWARD, TERMS, SLOT, ERROR, SEPARATION, FAILED = 0, 1, 5, 8, 11, 12
 # Rows of Scratch.outcomes that follow these.
 ERROR_SQUARED, SEPARATION_SQUARED, _OUTCOME = 13, 14, 15
 
-# Columns of State.followers.
+# Rows of State.vehicles: those of a measurement, then the gust where there are any.
+ATTITUDE, RATE_OF_TURN, GUST = 9, 13, 16
+MEASURED_ROWS, GUST_ROWS = 16, 3
+
+# Rows of State.followers, the guide's at level REFERENCE alone.
 HEADING, ESTIMATE, PREVIOUS, GUIDE_P, GUIDE_V = 0, 2, 4, 8, 11
+_FOLLOWER_ROWS, _GUIDE_ROWS = 8, 6
 
 _LOW = np.uint64(0xFFFFFFFF)
 _HALF = np.uint64(32)
 
 
 class State(NamedTuple):
-    """All that changes: W worlds in T tiles of L lanes; n followers, D samples of delay, N averaged."""
+    """All that changes: W worlds in T tiles of L lanes; n followers, D samples of delay, N averaged.
 
-    vehicles: Floats  # (T, n+1, 16 L): p, v, q, w, gust; the leader first
-    samples: Floats  # (T, n+1, D+1, 16 L): ring of measurements p, v, a, q, w
-    followers: Floats  # (T, n, 14 L): slot heading, estimated heading, previous action, guide
+    Where measurements are exact and in time they are the state: `vehicles` holds what is measured, its
+    acceleration as of the last measurement, and there are no samples.
+    """
+
+    vehicles: Floats  # (T, n+1, R L): p, v, a, q, w and the gust if any; the leader first
+    samples: Floats  # (T, n+1, D+1 or 0, 16 L): ring of measurements p, v, a, q, w
+    followers: Floats  # (T, n, S L): slot heading, estimated heading, previous action, guide
     speeds: Floats  # (W, N, 3): ring of the leader's measured velocities
     seen: Floats  # (T, 2 L): the leader's planar velocity as measured one tick ago
     begins: Floats  # (T, 3 L): the leader's first reference point
@@ -93,10 +102,13 @@ class Scratch(NamedTuple):
     tally: Floats  # (2 L,): the followers' rewards added up, whether one failed
     before: Floats  # (2 L,): the leader's planar velocity before the tick, m/s
     refs: Floats  # (16 L,): the leader's reference, and nothing
-    body: Floats  # (16 L,): a vehicle before a substep close to the floor
+    lines: Floats  # (16 L,): 16 numbers of each world, to be turned into rows
+    still: Floats  # (3 L,): no gust
     counts: NDArray[np.uint64]  # (L,): numbers of the samples to be taken
     draws: NDArray[np.float32]  # (16 L,): normal numbers
-    seen: Floats  # (T, n+1, 16 L): the measurements in hand; (1, n+1, 16 L) where they are late
+    seen: (
+        Floats  # (T or 1, n+1, 16 L or R L): the measurements in hand; of one tile if they are late
+    )
     actions: Floats  # (n, 4 L): as executed
     commands: Floats  # (n+1, 4 L): thrust and turn of each vehicle
     touches: Floats  # (n+1, 3 L): speed, uprightness of the hardest touch-down; touching now
@@ -145,7 +157,7 @@ class Sizes(NamedTuple):
     worlds: int
     tiles: int
     vehicles: int  # n + 1
-    delays: int  # D + 1
+    delays: int  # D + 1, or 0 where the state is what is measured
     window: int  # N
     tables: int  # W or 1
     table: int  # numbers in one
@@ -157,6 +169,8 @@ class Sizes(NamedTuple):
     neighbours: int
     action_size: int
     max_steps: int
+    vehicle_rows: int  # R
+    follower_rows: int  # S
 
 
 REFERENCE_ROW = 16  # p, v, a, j, s and a number that makes it a whole number of vectors
@@ -181,15 +195,16 @@ def flatten(value: Any) -> list[float]:
 
 def allocate(config: FormationConfig, worlds: int, max_steps: int, references: Floats) -> Floats:
     """Memory for `worlds` worlds that have not been reset yet: `Sizes`, `Constants`, `State`."""
-    n, clock, path = config.followers, config.world.clock, config.trajectory
+    world, path = config.world, config.trajectory
     drawing = np.zeros(0) if path.random is None else np.array(path.random, dtype=np.float64)
-    settings = np.array(flatten(Settings(config.world, config.reward, config.limits)))
+    settings = np.array(flatten(Settings(world, config.reward, config.limits)))
+    exact = plain(every_tick)(world.clock) and plain(silent)(world.noise)
     sizes = Sizes(
         worlds,
         tiles(worlds),
-        n + 1,
-        clock.delay + 1,
-        clock.window,
+        config.followers + 1,
+        0 if exact else world.clock.delay + 1,
+        world.clock.window,
         1 if path.random is None else worlds,
         len(path.table),
         len(settings),
@@ -200,10 +215,15 @@ def allocate(config: FormationConfig, worlds: int, max_steps: int, references: F
         config.neighbours,
         config.action_size,
         max_steps,
+        MEASURED_ROWS + (GUST_ROWS if world.gusts.kick != 0.0 else 0),
+        _FOLLOWER_ROWS + (_GUIDE_ROWS if world.level == REFERENCE else 0),
     )
-    lengths = plain(_constant_lengths)(sizes), plain(_state_lengths)(sizes)
-    flat = np.zeros(len(sizes) + sum(lengths[0]) + sum(lengths[1]))
-    size_numbers(flat)[:] = sizes
+    kept, room = (*_constant_lengths(sizes), *_state_lengths(sizes)), _scratch_lengths(sizes)
+    head = _SIZES + len(kept) + len(room) + 1
+    flat = np.zeros(head + sum(kept))
+    numbers = plain(size_numbers)(flat)
+    numbers[:_SIZES] = sizes
+    numbers[_SIZES:head] = (*_starts(head, kept), *_starts(0, room), sum(room))
     constants, state = views(flat)
     fixed = (
         settings,
@@ -218,14 +238,19 @@ def allocate(config: FormationConfig, worlds: int, max_steps: int, references: F
     state.counters[:, OVER] = 1
     state.tables[:] = path.table
     # Lanes without a world are computed all the same: with an attitude, so that nothing divides by 0.
-    state.vehicles[:, :, 6 * LANES : 7 * LANES] = 1.0
-    state.samples[:, :, :, 9 * LANES : 10 * LANES] = 1.0
+    state.vehicles[:, :, ATTITUDE * LANES : (ATTITUDE + 1) * LANES] = 1.0
+    state.samples[:, :, :, ATTITUDE * LANES : (ATTITUDE + 1) * LANES] = 1.0
     return flat
+
+
+def _starts(first: int, lengths: tuple[int, ...]) -> list[int]:
+    """Where each of some arrays one behind the other begins."""
+    return [first + sum(lengths[:k]) for k in range(len(lengths))]
 
 
 def scratch(memory: Floats) -> Floats:
     """Room for one thread to work in."""
-    return np.zeros(sum(plain(_scratch_lengths)(size_numbers(memory))))
+    return np.zeros(int(plain(size_numbers)(memory)[_HEAD - 1]))
 
 
 @final
@@ -258,103 +283,101 @@ def tiles(worlds: int) -> int:
 
 def views(memory: Floats) -> tuple[Constants, State]:
     """What lies in the memory, by name."""
-    return plain(open_constants)(memory), plain(open_state)(memory)
+    numbers = plain(size_numbers)(memory)
+    return plain(open_constants)(memory, numbers), plain(open_state)(memory, numbers)
 
 
 # -- opening flat memory --------------------------------------------------------------------------
+#
+# The memory begins with the numbers of `Sizes`, then the starts of all arrays: first those of
+# `Constants` and `State` in the memory itself, then those of `Scratch` in its own.
 
 
-@device
-def size_numbers(memory: Any) -> Any:
-    """The head of the memory, `Sizes`."""
-    return reinterpret(carve(memory, 0, (_SIZES,)), np.int64)
+def _constant_lengths(z: Sizes) -> tuple[int, ...]:
+    n = z.vehicles - 1
+    return (z.settings, 3 * n, 3 * z.vehicles, z.drawing, REFERENCE_ROW * z.references)
 
 
-@device
-def _constant_lengths(z: Any) -> tuple[int, int, int, int, int]:
-    return (z[7], 3 * (z[2] - 1), 3 * z[2], z[8], REFERENCE_ROW * z[9])
-
-
-@device
-def open_constants(memory: Any) -> Constants:
-    """The arrays of `Constants` in the memory."""
-    z = size_numbers(memory)
-    lengths = _constant_lengths(z)
-    a = _SIZES + lengths[0]
-    b = a + lengths[1]
-    d = b + lengths[2]
-    e = d + lengths[3]
-    return Constants(
-        carve(memory, _SIZES, (lengths[0],)),
-        carve(memory, a, (z[2] - 1, 3)),
-        carve(memory, b, (z[2], 3)),
-        carve(memory, d, (lengths[3],)),
-        carve(memory, e, (z[9], REFERENCE_ROW)),
-    )
-
-
-@device
-def _state_lengths(z: Any) -> tuple[int, int, int, int, int, int, int, int, int]:
-    lanes, n = z[1] * LANES, z[2] - 1
+def _state_lengths(z: Sizes) -> tuple[int, ...]:
+    lanes, n = z.tiles * LANES, z.vehicles - 1
     return (
-        16 * (n + 1) * lanes,
-        16 * (n + 1) * z[3] * lanes,
-        14 * n * lanes,
-        3 * z[0] * z[4],
+        z.vehicle_rows * z.vehicles * lanes,
+        MEASURED_ROWS * z.vehicles * z.delays * lanes,
+        z.follower_rows * n * lanes,
+        3 * z.worlds * z.window,
         2 * lanes,
         3 * lanes,
-        z[5] * z[6],
-        6 * z[0],
-        2 * lanes,
+        z.tables * z.table,
+        6 * z.worlds,
+        lanes,
+        lanes,
     )
 
 
-@device
-def open_state(memory: Any) -> State:
-    """The arrays of `State` in the memory."""
-    z = size_numbers(memory)
-    T, V, D = z[1], z[2], z[3]
-    fixed, lengths = _constant_lengths(z), _state_lengths(z)
-    o = _SIZES + fixed[0] + fixed[1] + fixed[2] + fixed[3] + fixed[4]
-    a = o + lengths[0]
-    b = a + lengths[1]
-    d = b + lengths[2]
-    e = d + lengths[3]
-    f = e + lengths[4]
-    g = f + lengths[5]
-    h = g + lengths[6]
-    keys = h + lengths[7]
-    return State(
-        carve(memory, o, (T, V, 16 * LANES)),
-        carve(memory, a, (T, V, D, 16 * LANES)),
-        carve(memory, b, (T, V - 1, 14 * LANES)),
-        carve(memory, d, (z[0], z[4], 3)),
-        carve(memory, e, (T, 2 * LANES)),
-        carve(memory, f, (T, 3 * LANES)),
-        carve(memory, g, (z[5], z[6])),
-        carve(reinterpret(carve(memory, h, (lengths[7],)), np.int64), 0, (z[0], 6)),
-        reinterpret(carve(memory, keys, (T * LANES,)), np.uint64),
-        reinterpret(carve(memory, keys + T * LANES, (T * LANES,)), np.uint64),
-    )
-
-
-@device
-def _scratch_lengths(z: Any) -> tuple[int, ...]:
-    """Of the small rows together, then one by one in the order of `Scratch`."""
-    V, K, L = z[2], z[12] + 1, LANES
+def _scratch_lengths(z: Sizes) -> tuple[int, ...]:
+    """In the order of `Scratch`."""
+    V, K, L = z.vehicles, z.neighbours + 1, LANES
     n = V - 1
+    saved = z.vehicle_rows + (MEASURED_ROWS if z.delays == 1 else 0)
     return (
-        (3 + 2 + 2 + 16 + 16 + 1 + 8) * L,
-        16 * V * L,
+        *(L, L, L, 2 * L, 2 * L, REFERENCE_ROW * L, REFERENCE_ROW * L, 3 * L, L, 8 * L),
+        MEASURED_ROWS * V * L if z.delays > 1 else 0,
         4 * n * L,
         4 * V * L,
         3 * V * L,
         _OUTCOME * n * L,
         2 * K * L,
         (K - 1) * n * L,
-        16 * V + 2 * K,
-        z[10] * L // 2,
-        32 * V * L,
+        8 * V,
+        8 * n,
+        K,
+        K,
+        z.entries * L // 2,
+        saved * V * L,
+    )
+
+
+_CONSTANTS, _STATE, _SCRATCH = (len(kind._fields) for kind in (Constants, State, Scratch))
+_STATE_AT = _SIZES + _CONSTANTS
+_SCRATCH_AT = _STATE_AT + _STATE
+_HEAD = _SCRATCH_AT + _SCRATCH + 1
+
+
+@device
+def size_numbers(memory: Any) -> Any:
+    """The head of the memory: `Sizes`, then the starts of the arrays, then the length of `Scratch`."""
+    return reinterpret(carve(memory, 0, (_HEAD,)), np.int64)
+
+
+@device
+def open_constants(memory: Any, z: Any) -> Constants:
+    """The arrays of `Constants` in the memory with the head `z`."""
+    at = carve(z, _SIZES, (_CONSTANTS,))
+    return Constants(
+        carve(memory, at[0], (z[7],)),
+        carve(memory, at[1], (z[2] - 1, 3)),
+        carve(memory, at[2], (z[2], 3)),
+        carve(memory, at[3], (z[8],)),
+        carve(memory, at[4], (z[9], REFERENCE_ROW)),
+    )
+
+
+@device
+def open_state(memory: Any, z: Any) -> State:
+    """The arrays of `State` in the memory with the head `z`."""
+    at = carve(z, _STATE_AT, (_STATE,))
+    T, V, R, S = z[1], z[2], z[15], z[16]
+    return State(
+        carve(memory, at[0], (T, V, R * LANES)),
+        carve(memory, at[1], (T, V, z[3], MEASURED_ROWS * LANES)),
+        carve(memory, at[2], (T, V - 1, S * LANES)),
+        carve(memory, at[3], (z[0], z[4], 3)),
+        carve(memory, at[4], (T, 2 * LANES)),
+        carve(memory, at[5], (T, 3 * LANES)),
+        carve(memory, at[6], (z[5], z[6])),
+        carve(reinterpret(carve(memory, at[7], (6 * z[0],)), np.int64), 0, (z[0], 6)),
+        reinterpret(carve(memory, at[8], (T * LANES,)), np.uint64),
+        reinterpret(carve(memory, at[9], (T * LANES,)), np.uint64),
     )
 
 
@@ -371,44 +394,37 @@ def _open_crowd(room: Any, at: int, m: int) -> Crowd:
 @device
 def open_scratch(room: Any, state: State, z: Any) -> Scratch:
     """`Scratch` in a flat array of `scratch`; measurements that are not late are used in place."""
-    V, K, L = z[2], z[12] + 1, LANES
-    lengths = _scratch_lengths(z)
-    a = lengths[0]
-    b = a + lengths[1]
-    d = b + lengths[2]
-    e = d + lengths[3]
-    f = e + lengths[4]
-    g = f + lengths[5]
-    h = g + lengths[6]
-    i = h + lengths[7]
-    j = i + lengths[8]
-    o = j + lengths[9]
-    seen = carve(room, a, (1, V, 16 * L))
-    if z[3] == 1:
-        seen = carve(state.samples, 0, (z[1], V, 16 * L))
+    at = carve(z, _SCRATCH_AT, (_SCRATCH + 1,))
+    T, V, K, L = z[1], z[2], z[12] + 1, LANES
+    seen = carve(room, at[10], (1, V, MEASURED_ROWS * L))
+    if z[3] == 0:
+        seen = carve(state.vehicles, 0, (T, V, z[15] * L))
+    elif z[3] == 1:
+        seen = carve(state.samples, 0, (T, V, MEASURED_ROWS * L))
     return Scratch(
-        carve(room, 0, (L,)),
-        carve(room, L, (L,)),
-        carve(room, 2 * L, (L,)),
-        carve(room, 3 * L, (2 * L,)),
-        carve(room, 5 * L, (2 * L,)),
-        carve(room, 7 * L, (16 * L,)),
-        carve(room, 23 * L, (16 * L,)),
-        reinterpret(carve(room, 39 * L, (L,)), np.uint64),
-        reinterpret(carve(room, 40 * L, (8 * L,)), np.float32),
+        carve(room, at[0], (L,)),
+        carve(room, at[1], (L,)),
+        carve(room, at[2], (L,)),
+        carve(room, at[3], (2 * L,)),
+        carve(room, at[4], (2 * L,)),
+        carve(room, at[5], (REFERENCE_ROW * L,)),
+        carve(room, at[6], (REFERENCE_ROW * L,)),
+        carve(room, at[7], (3 * L,)),
+        reinterpret(carve(room, at[8], (L,)), np.uint64),
+        reinterpret(carve(room, at[9], (8 * L,)), np.float32),
         seen,
-        carve(room, b, (V - 1, 4 * L)),
-        carve(room, d, (V, 4 * L)),
-        carve(room, e, (V, 3 * L)),
-        carve(room, f, (V - 1, _OUTCOME * L)),
-        carve(room, g, (K, 2 * L)),
-        carve(room, h, (V - 1, (K - 1) * L)),
-        _open_crowd(room, i, V),
-        _open_crowd(room, i + 8 * V, V - 1),
-        carve(room, i + 16 * V, (max(K - 1, 1),)),
-        reinterpret(carve(room, i + 16 * V + K, (max(K - 1, 1),)), np.int64),
-        reinterpret(carve(room, j, (lengths[9],)), np.float32),
-        carve(room, o, (lengths[10],)),
+        carve(room, at[11], (V - 1, 4 * L)),
+        carve(room, at[12], (V, 4 * L)),
+        carve(room, at[13], (V, 3 * L)),
+        carve(room, at[14], (V - 1, _OUTCOME * L)),
+        carve(room, at[15], (K, 2 * L)),
+        carve(room, at[16], (V - 1, (K - 1) * L)),
+        _open_crowd(room, at[17], V),
+        _open_crowd(room, at[18], V - 1),
+        carve(room, at[19], (max(K - 1, 1),)),
+        reinterpret(carve(room, at[20], (max(K - 1, 1),)), np.int64),
+        reinterpret(carve(room, at[21], (z[10] * L // 2,)), np.float32),
+        carve(room, at[22], (at[23] - at[22],)),
     )
 
 
@@ -417,7 +433,7 @@ def open_scratch(room: Any, state: State, z: Any) -> Scratch:
 
 @device
 def vehicle(state: State, w: int, i: int) -> Any:
-    """The 16 numbers of vehicle `i` of world `w`."""
+    """The numbers of vehicle `i` of world `w`."""
     return state.vehicles[w // LANES, i, w % LANES :: LANES]
 
 
@@ -429,7 +445,7 @@ def ring(state: State, w: int, i: int) -> Any:
 
 @device
 def follower(state: State, w: int, i: int) -> Any:
-    """The 14 numbers of follower `i` of world `w`."""
+    """The numbers of follower `i` of world `w`."""
     return state.followers[w // LANES, i, w % LANES :: LANES]
 
 
@@ -489,15 +505,14 @@ def unpack(x: Any) -> Settings:
 
 @device
 def load_body(x: Any) -> Body:
-    return Body(load(x, 0), load(x, 3), (x[6], x[7], x[8], x[9]), load(x, 10))
+    m = load_sample(x)
+    return Body(m.p, m.v, m.q, m.w)
 
 
 @device
-def put_body(x: Any, b: Body) -> None:
-    put(x, 0, b.p)
-    put(x, 3, b.v)
-    x[6], x[7], x[8], x[9] = b.q
-    put(x, 10, b.w)
+def load_gust(x: Any) -> Vector:
+    """The acceleration by a gust of a vehicle: zero where there are none."""
+    return load(x, GUST) if len(x) > GUST else (0.0, 0.0, 0.0)
 
 
 @device
@@ -517,7 +532,9 @@ def put_sample(x: Any, m: Measured) -> None:
 
 @device
 def latest(state: State, w: int, i: int) -> Measured:
-    """The measurement of vehicle `i` that has arrived: the oldest in its ring."""
+    """The measurement of vehicle `i` that has arrived: the state itself, or the oldest in its ring."""
+    if state.samples.shape[2] == 0:
+        return load_sample(vehicle(state, w, i))
     samples = ring(state, w, i)
     return load_sample(samples[(state.counters[w, SAMPLES] + 1) % len(samples)])
 
@@ -543,4 +560,5 @@ def episode_key(key: Any, episode: int) -> Any:
 def by_world(tiles: NDArray[Any], worlds: int) -> NDArray[Any]:
     """An array `(T, ..., rows L)` of tiles as `(worlds, ..., rows)`, a copy."""
     split = tiles.reshape(*tiles.shape[:-1], tiles.shape[-1] // LANES, LANES)
-    return np.moveaxis(split, -1, 1).reshape(-1, *split.shape[1:-1])[:worlds].copy()
+    lanes = np.moveaxis(split, -1, 1).reshape(len(tiles) * LANES, *split.shape[1:-1])
+    return lanes[:worlds].copy()

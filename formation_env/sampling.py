@@ -13,6 +13,7 @@ from formation_env.memory import (
     State,
     load,
     load_body,
+    load_gust,
     load_sample,
     put,
     put_sample,
@@ -66,7 +67,7 @@ def sense_when_due(state: State, t: int, i: int, room: Scratch, k: int, s: World
         x = vehicle(state, w, i)
         applied = Wrench(room.commands[i, lane], (0.0, 0.0, 0.0))
         touching = room.touches[i, 2 * LANES + lane] != 0.0
-        exact = truth(load_body(x), applied, load(x, 13), touching, s.airframe)
+        exact = truth(load_body(x), applied, load_gust(x), touching, s.airframe)
         raw = exact
         if not silent(s.noise):
             raw = corrupt(exact, s.noise, state.episode_keys[w], i, count)
@@ -74,18 +75,11 @@ def sense_when_due(state: State, t: int, i: int, room: Scratch, k: int, s: World
 
 
 @device
-def every_tick(s: World) -> bool:
-    """Whether every tick ends with a measurement that is at once in hand."""
-    c = s.clock
-    return c.window == 0 and c.delay == 0 and c.sample_every == c.substeps
-
-
-@device
 def receive(state: State, t: int, room: Scratch) -> None:
     """Fetch the measurements that have arrived in all worlds of tile `t`, if they are late."""
     samples, seen, counters = state.samples, room.seen, state.counters
     delays = samples.shape[2]
-    if delays == 1:
+    if delays <= 1:
         return
     for i in range(samples.shape[1]):
         for lane in range(min(LANES, len(counters) - t * LANES)):

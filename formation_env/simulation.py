@@ -20,9 +20,21 @@ from numba import config as numba_config
 from numpy.typing import NDArray
 
 from formation_env import kernels, memory
+from formation_env._jit import plain
 from formation_env.blocks import LANES
 from formation_env.config import FormationConfig
-from formation_env.memory import CLOCK, EPISODE, OVER, SLOT, STARTED, TICK, Floats, Results
+from formation_env.memory import (
+    ATTITUDE,
+    CLOCK,
+    EPISODE,
+    OVER,
+    RATE_OF_TURN,
+    SLOT,
+    STARTED,
+    TICK,
+    Floats,
+    Results,
+)
 from formation_env.task import Layout
 from formation_env.team import Team, cores
 
@@ -148,7 +160,7 @@ class Simulation:
     def limit(self, max_steps: int) -> None:
         """Truncate episodes after so many ticks, or at the configured duration if that is earlier."""
         self.max_steps = min(max_steps, self.config.max_steps)
-        memory.size_numbers(self._memory)[memory.MAX_STEPS] = self.max_steps
+        plain(memory.size_numbers)(self._memory)[memory.MAX_STEPS] = self.max_steps
 
     # -- looking in -------------------------------------------------------------------------------
 
@@ -175,12 +187,12 @@ class Simulation:
     @property
     def attitudes(self) -> Floats:
         """True attitudes, `(num_worlds, 1 + followers, 4)`, quaternions (w, x, y, z)."""
-        return self._vehicles[..., 6:10]
+        return self._vehicles[..., ATTITUDE : ATTITUDE + 4]
 
     @property
     def angular_velocities(self) -> Floats:
         """True angular velocities, `(num_worlds, 1 + followers, 3)`, rad/s, body."""
-        return self._vehicles[..., 10:13]
+        return self._vehicles[..., RATE_OF_TURN : RATE_OF_TURN + 3]
 
     @property
     def slots(self) -> Floats:

@@ -59,6 +59,12 @@ class Clock(NamedTuple):
     window: int  # samples in the moving average of the acceleration; 0: velocities are measured
 
 
+@device
+def every_tick(clock: Clock) -> bool:
+    """Whether every tick ends with a measurement that is at once in hand."""
+    return clock.window == 0 and clock.delay == 0 and clock.sample_every == clock.substeps
+
+
 class Reach(NamedTuple):
     """What the actions +-1 mean."""
 
