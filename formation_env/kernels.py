@@ -5,7 +5,7 @@ The mathematics is in `world`, `task` and below; here is the order of things.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +77,16 @@ from formation_env.memory import (
 from formation_env.quadrotor import MOMENT, Wrench
 from formation_env.sampling import receive, sense_when_due
 from formation_env.task import CORE, GUIDE
+from formation_env.team import (
+    address_of,
+    array_at,
+    await_ticket,
+    claim,
+    post,
+    posted,
+    report,
+    settle,
+)
 from formation_env.trajectories import Reference, evaluate
 from formation_env.world import (
     RATE,
@@ -426,11 +436,109 @@ def _bad_action(actions: Any) -> int:
     return -1
 
 
+class Call(NamedTuple):
+    """What one call is about, arrays as flat rows but for the first two and `ends`."""
+
+    mode: int
+    actions: NDArray[np.float32]
+    mask: NDArray[np.bool_]
+    seen: NDArray[np.float32]
+    told: Floats
+    ends: Floats
+    last_seen: NDArray[np.float32]
+    last_told: Floats
+    entries: int
+
+
+@device
+def _posted_call(desk: int, sizes: Any) -> Call:
+    """The call whose arrays another thread has put on the desk."""
+    worlds, n, entries = sizes[0], sizes[2] - 1, sizes[10]
+    rows, mode = worlds * n, posted(desk, 0)
+    last = rows if mode == STEP_AND_RESET else 0
+    return Call(
+        mode,
+        array_at(posted(desk, 1), (worlds, n, sizes[13]), np.float32),
+        array_at(posted(desk, 2), (worlds,), np.bool_),
+        array_at(posted(desk, 3), (rows * entries,), np.float32),
+        array_at(posted(desk, 4), (rows * len(OUTPUTS),), np.float64),
+        array_at(posted(desk, 5), (3, worlds), np.float64),
+        array_at(posted(desk, 6), (last * entries,), np.float32),
+        array_at(posted(desk, 7), (last * len(OUTPUTS),), np.float64),
+        entries,
+    )
+
+
+@device
+def _post_call(desk: int, call: Call) -> int:
+    """Put a call on the desk; its ticket."""
+    arrays = (
+        call.mode,
+        address_of(call.actions),
+        address_of(call.mask),
+        address_of(call.seen),
+        address_of(call.told),
+        address_of(call.ends),
+        address_of(call.last_seen),
+        address_of(call.last_told),
+    )
+    return post(desk, arrays)
+
+
+@device
+def _tick(
+    state: State, c: Constants, t: int, call: Call, work: Scratch, task: Task, s: Settings
+) -> None:
+    """Step or reset those worlds of tile `t` that the call's mask names; look at the others."""
+    mode, mask, n = call.mode, call.mask, len(c.offsets)
+    seen, told, last_seen, last_told = call.seen, call.told, call.last_seen, call.last_told
+    one = n * call.entries
+    end = min((t + 1) * LANES, len(state.counters))
+    receive(state, t, work)
+    flying, waiting = _prepare(state, t, call.actions, mask, mode, work, s.world)
+    if flying > 0:
+        if flying < end - t * LANES:
+            _save(state, t, work)
+        _lead(state, c, t, work, task.trajectory_kind, s.world)
+        _command(state, t, work, s.world)
+        _fly(state, t, work, s.world)
+        if flying < end - t * LANES:
+            _put_back(state, t, work)
+        _count(state, c, t, work, s.world)
+    judged, triggered, again = False, flying == 0, True
+    while again:
+        if waiting:
+            for w in range(t * LANES, end):
+                lane = w % LANES
+                fresh = mask[w] and work.active[lane] == 0.0
+                if fresh or (judged and flying > 0 and state.counters[w, OVER] != 0):
+                    start_episode(state, c, w, work, task, s)
+                    work.active[lane] = 0.0
+            receive(state, t, work)
+            waiting = False
+        _locate(state, c, t, work)
+        if not triggered:
+            triggered = True
+            if _trigger(state, t, work, s.world):
+                continue
+        if not judged:
+            _judge(state, t, work, call.ends, task, s)
+            judged = True
+        _look(state, c, t, work, seen, told, task, s.world)
+        again = False
+        if mode == STEP_AND_RESET:
+            for w in range(t * LANES, end):
+                if work.active[w % LANES] != 0.0 and state.counters[w, OVER] != 0:
+                    repeat(seen, last_seen, w * one, one)
+                    repeat(told, last_told, w * n * len(OUTPUTS), n * len(OUTPUTS))
+                    again = waiting = True
+
+
 @announced
 @kernel
 def advance(
-    first: int,
-    last: int,
+    desk: int,
+    member: int,
     mode: int,
     actions: NDArray[np.float32],
     mask: NDArray[np.bool_],
@@ -442,77 +550,59 @@ def advance(
     last_observations: NDArray[np.float32],
     last_outputs: Floats,
 ) -> int:
-    """Step or reset those worlds of the tiles `first` to `last` that `mask` names; look at the others.
+    """Step or reset those worlds that `mask` names; look at the others.
 
     `memory` is what `memory.allocate` made, `room` what `memory.scratch` did, and the rest `Results`.
     Returns the number of the first row of `actions` that holds a non-finite number, having done nothing
     then, or -1.
 
+    `desk` is 0, or the address of a `team.Team`'s: then workers fly some of the tiles. They are in here
+    too, as its `member` 1, 2, ..., with actions and results of no world, and take part in the calls of
+    member 0 until none has come for a while.
+
     Each thing that may happen to a world stands once in here: compiled twice, the same formula may
-    come out with other fused operations, and the faces would differ in a last bit.
+    come out with other fused operations, and the faces or the threads would differ in a last bit.
     """
     bad = _bad_action(actions)
     if bad >= 0:
         return bad
-    actions, mask = carve(actions, 0, actions.shape), carve(mask, 0, mask.shape)
-    seen, told = carve(observations, 0, (observations.size,)), carve(outputs, 0, (outputs.size,))
-    last_seen = carve(last_observations, 0, (last_observations.size,))
-    last_told = carve(last_outputs, 0, (last_outputs.size,))
-    ends = carve(ends, 0, ends.shape)
     sizes = size_numbers(memory)
+    call = Call(
+        mode,
+        carve(actions, 0, actions.shape),
+        carve(mask, 0, mask.shape),
+        carve(observations, 0, (observations.size,)),
+        carve(outputs, 0, (outputs.size,)),
+        carve(ends, 0, ends.shape),
+        carve(last_observations, 0, (last_observations.size,)),
+        carve(last_outputs, 0, (last_outputs.size,)),
+        sizes[10],
+    )
     state, c = open_state(memory, sizes), open_constants(memory, sizes)
     work = open_scratch(room, state, sizes)
     task = Task(sizes[11], sizes[12], sizes[13], sizes[14])
     s = unpack(c.settings)
-    worlds, n = len(state.counters), len(c.offsets)
-    one = n * sizes[10]
-    for t in range(first, last):
-        end = min((t + 1) * LANES, worlds)
-        receive(state, t, work)
-        flying, waiting = _prepare(state, t, actions, mask, mode, work, s.world)
-        if flying > 0:
-            if flying < end - t * LANES:
-                _save(state, t, work)
-            _lead(state, c, t, work, task.trajectory_kind, s.world)
-            _command(state, t, work, s.world)
-            _fly(state, t, work, s.world)
-            if flying < end - t * LANES:
-                _put_back(state, t, work)
-            _count(state, c, t, work, s.world)
-        judged, triggered, again = False, flying == 0, True
-        while again:
-            if waiting:
-                for w in range(t * LANES, end):
-                    lane = w % LANES
-                    fresh = mask[w] and work.active[lane] == 0.0
-                    if fresh or (judged and flying > 0 and state.counters[w, OVER] != 0):
-                        start_episode(state, c, w, work, task, s)
-                        work.active[lane] = 0.0
-                receive(state, t, work)
-                waiting = False
-            _locate(state, c, t, work)
-            if not triggered:
-                triggered = True
-                if _trigger(state, t, work, s.world):
-                    continue
-            if not judged:
-                _judge(state, t, work, ends, task, s)
-                judged = True
-            _look(state, c, t, work, seen, told, task, s.world)
-            again = False
-            if mode == STEP_AND_RESET:
-                for w in range(t * LANES, end):
-                    if work.active[w % LANES] != 0.0 and state.counters[w, OVER] != 0:
-                        repeat(seen, last_seen, w * one, one)
-                        repeat(told, last_told, w * n * len(OUTPUTS), n * len(OUTPUTS))
-                        again = waiting = True
-    return -1
-
-
-@kernel
-def first_bad_action(actions: NDArray[np.float32]) -> int:
-    """Number of the first row `(world, follower)` that holds a non-finite number, or -1."""
-    return _bad_action(actions)
+    ticket, tiles = 0, sizes[1]
+    if desk != 0 and member == 0:
+        ticket = _post_call(desk, call)
+    while True:
+        if member > 0:
+            ticket = await_ticket(desk, ticket)
+            if ticket < 0:
+                return -1
+            call = _posted_call(desk, sizes)
+        done = 0
+        t = 0 if desk == 0 else claim(desk, ticket, member)
+        while 0 <= t < tiles:
+            _tick(state, c, t, call, work, task, s)
+            done += 1
+            t = t + 1 if desk == 0 else claim(desk, ticket, member)
+        if member > 0:
+            report(desk, done)
+        else:
+            if desk != 0:
+                settle(desk, tiles - done)
+            return -1
 
 
 @kernel

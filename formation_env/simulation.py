@@ -3,20 +3,20 @@
 With `kernels` and what it is made of, `lanes`, `memory` and `blocks`, it is the layer that knows
 the layout.
 
-Every face steps worlds through the one compiled kernel `advance`, and threads call that same
-machine code on disjoint ranges of worlds. A world's numbers depend on its key, its actions and
-nothing else, so they are bit for bit those of any other number of worlds or threads.
+Every face steps worlds through the one compiled kernel `advance`, and the threads of a `team` are in
+that same machine code, on tiles of worlds that they take one by one. A world's numbers depend on its
+key, its actions and nothing else, so they are bit for bit those of any other number of worlds or threads.
 """
 
 from __future__ import annotations
 
 import os
-from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
+from functools import partial
 from typing import Any, NamedTuple, final
 
 import numpy as np
 from gymnasium.utils import seeding
+from numba import config as numba_config
 from numpy.typing import NDArray
 
 from formation_env import kernels, memory
@@ -36,9 +36,11 @@ from formation_env.memory import (
     Results,
 )
 from formation_env.task import Layout
+from formation_env.team import Team, cores
 
-# Each thread flies at least about so many.
-_VEHICLES_PER_THREAD = 4096
+# Each thread has at least about so many. A worker that has to be woken pays from 384 vehicles on, and one
+# that still looks out from half of that.
+_VEHICLES_PER_THREAD = 512
 
 
 class Snapshot(NamedTuple):
@@ -70,7 +72,9 @@ class Simulation:
         self._tiles = memory.tiles(num_worlds)
         # A second thread has to have enough to do; below that it would cost more than it saves.
         work = 1 + num_worlds * (config.followers + 1) // _VEHICLES_PER_THREAD
-        self._threads = min(self.threads, self._tiles, work)
+        self._threads = min(self.threads, self._tiles, work, cores())
+        if numba_config.DISABLE_JIT:
+            self._threads = 1  # Python has no atomics
         self._results = memory.Shapes(config, num_worlds).results
         self.layout: Layout = config.layout
         references = np.zeros((0, memory.REFERENCE_ROW))
@@ -80,10 +84,9 @@ class Simulation:
             references = kernels.reference_table(kind, table, period, config.max_steps)
         self._memory = memory.allocate(config, num_worlds, self.max_steps, references)
         self._state = memory.views(self._memory)[1]
-        self._rooms = [memory.scratch(self._memory) for _ in range(self.threads)]
+        self._rooms = [memory.scratch(self._memory) for _ in range(self._threads)]
         self._everyone = np.ones(num_worlds, dtype=np.bool_)
-        self._pool: ThreadPoolExecutor | None = None
-        self._pool_owner = 0
+        self._team: Team | None = None
 
     # -- stepping ---------------------------------------------------------------------------------
 
@@ -116,25 +119,12 @@ class Simulation:
     def _run(self, mode: int, actions: NDArray[np.float32], mask: Any) -> Results:
         mask = self._everyone if mask is None else mask
         results = self._results(mode == kernels.STEP_AND_RESET)
-        tiles, threads = self._tiles, self._threads
-        arguments: tuple[Any, ...] = (mode, actions, mask, self._memory)
+        # Rung before there is work: they wake while this thread is on its way into the kernel.
+        desk = 0 if self._threads == 1 else self._gathered().wake()
         advance: Any = kernels.advance
-        if threads == 1:
-            bad = advance(0, tiles, *arguments, self._rooms[0], *results)
-            if bad >= 0:
-                raise self._not_finite(actions, bad)
-            return results
-        bad = kernels.first_bad_action(actions)
+        bad = advance(desk, 0, mode, actions, mask, self._memory, self._rooms[0], *results)
         if bad >= 0:
             raise self._not_finite(actions, bad)
-        edges = [tiles * i // threads for i in range(threads + 1)]
-        jobs = [
-            self._executor().submit(advance, *(a, b, *arguments, room, *results))
-            for (a, b), room in zip(pairwise(edges[1:]), self._rooms[1:], strict=False)
-        ]
-        advance(edges[0], edges[1], *arguments, self._rooms[0], *results)
-        for job in jobs:
-            job.result()
         return results
 
     def _not_finite(self, actions: NDArray[np.float32], bad: int) -> ValueError:
@@ -145,18 +135,27 @@ class Simulation:
             "expected finite numbers"
         )
 
-    def _executor(self) -> ThreadPoolExecutor:
-        # A pool does not survive a fork: its threads are not in the child.
-        if self._pool is None or self._pool_owner != os.getpid():
-            self._pool = ThreadPoolExecutor(self.threads - 1, thread_name_prefix="formation")
-            self._pool_owner = os.getpid()
-        return self._pool
+    def _gathered(self) -> Team:
+        """The threads, started when first needed."""
+        # Threads do not survive a fork: they are not in the child.
+        if self._team is None or self._team.owner != os.getpid():
+            config = self.config
+            actions = np.zeros((0, config.followers, config.action_size), dtype=np.float32)
+            nobody, nothing = np.zeros(0, dtype=np.bool_), memory.Shapes(config, 0).results(True)
+            serve: Any = kernels.advance
+            arguments = [
+                (kernels.STEP, actions, nobody, self._memory, room, *nothing)
+                for room in self._rooms[1:]
+            ]
+            servants = [partial(_serve, serve, own) for own in arguments]
+            self._team = Team(self._tiles, servants)
+        return self._team
 
     def close(self) -> None:
         """Stop the threads, if any were started."""
-        if self._pool is not None and self._pool_owner == os.getpid():
-            self._pool.shutdown()
-        self._pool = None
+        if self._team is not None:
+            self._team.close()
+        self._team = None
 
     def limit(self, max_steps: int) -> None:
         """Truncate episodes after so many ticks, or at the configured duration if that is earlier."""
@@ -266,11 +265,16 @@ class Simulation:
 
     def __getstate__(self) -> dict[str, Any]:
         # The state's arrays are views, which a copy would cut off from the memory they show.
-        return {**self.__dict__, "_pool": None, "_state": None}
+        return {**self.__dict__, "_team": None, "_state": None}
 
     def __setstate__(self, saved: dict[str, Any]) -> None:
         self.__dict__.update(saved)
         self._state = memory.views(self._memory)[1]
+
+
+def _serve(advance: Any, arguments: tuple[Any, ...], desk: int, member: int) -> None:
+    """One stay of a worker in the kernel; `arguments` hold nothing of the `Simulation` but memory."""
+    advance(desk, member, *arguments)
 
 
 def stream_key(generator: np.random.Generator) -> int:
