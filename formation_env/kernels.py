@@ -558,14 +558,16 @@ def advance(
 
     `desk` is 0, or the address of a `team.Team`'s: then workers fly some of the tiles. They are in here
     too, as its `member` 1, 2, ..., with actions and results of no world, and take part in the calls of
-    member 0 until none has come for a while.
+    member 0 until none has come for a while. They do not wait for long, so the caller has to have seen
+    to the actions, with `first_bad_action`, before it wakes them.
 
     Each thing that may happen to a world stands once in here: compiled twice, the same formula may
     come out with other fused operations, and the faces or the threads would differ in a last bit.
     """
-    bad = _bad_action(actions)
-    if bad >= 0:
-        return bad
+    if desk == 0:
+        bad = _bad_action(actions)
+        if bad >= 0:
+            return bad
     sizes = size_numbers(memory)
     call = Call(
         mode,
@@ -603,6 +605,12 @@ def advance(
             if desk != 0:
                 settle(desk, tiles - done)
             return -1
+
+
+@kernel
+def first_bad_action(actions: NDArray[np.float32]) -> int:
+    """Number of the first row `(world, follower)` that holds a non-finite number, or -1."""
+    return _bad_action(actions)
 
 
 @kernel

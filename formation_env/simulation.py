@@ -119,10 +119,15 @@ class Simulation:
     def _run(self, mode: int, actions: NDArray[np.float32], mask: Any) -> Results:
         mask = self._everyone if mask is None else mask
         results = self._results(mode == kernels.STEP_AND_RESET)
-        # Rung before there is work: they wake while this thread is on its way into the kernel.
-        desk = 0 if self._threads == 1 else self._gathered().wake()
         advance: Any = kernels.advance
-        bad = advance(desk, 0, mode, actions, mask, self._memory, self._rooms[0], *results)
+        desk, bad = 0, -1
+        if self._threads > 1:
+            bad = kernels.first_bad_action(actions)
+            if bad < 0:
+                # Rung before there is work: they wake while this thread is on its way into the kernel.
+                desk = self._gathered().wake()
+        if bad < 0:
+            bad = advance(desk, 0, mode, actions, mask, self._memory, self._rooms[0], *results)
         if bad >= 0:
             raise self._not_finite(actions, bad)
         return results
