@@ -1,9 +1,7 @@
 """A policy that was learned, run from its file by NumPy.
 
-Its network sees one follower's row at a time, so one file serves any number of followers and worlds.
-Rows are dealt with in blocks of a fixed size, the last one filled up with zeros: the matrix routines
-sum in an order that depends on the size of what they are given, and a row's action must not depend on
-how many others are decided with it.
+Its network sees one follower's row at a time, so one file serves any number of followers and worlds,
+and a row's action depends on no other row, to the last bit (see `forward`).
 """
 
 from __future__ import annotations
@@ -16,11 +14,11 @@ from numpy.typing import NDArray
 
 from baselines.expert import Expert
 from baselines.files import Card, Network, check, load
+from baselines.forward import LANES, gathered, layer, padded, spread
 from baselines.policy import Policy, Rows
 from formation_env import FormationConfig
 
-BLOCK = 64  # rows that go through the network together
-_BLOCKS = 64  # blocks at a time, so that what lies between the layers stays in the cache
+_ROWS = 1024  # at a time, so that what lies between the layers stays in the cache
 
 Source = tuple[Card, Network]
 
@@ -48,8 +46,7 @@ class Learned(Policy):
             self.card, network = load(source)
         _require_fit(self.card, config)
         self._layers = [
-            (np.ascontiguousarray(W.T), b)
-            for W, b in zip(network.weights, network.biases, strict=True)
+            (padded(W), padded(b)) for W, b in zip(network.weights, network.biases, strict=True)
         ]
         self._mean, self._scale = network.mean, network.scale
         self._expert = Expert(config) if self.card.residual > 0.0 else None
@@ -73,9 +70,8 @@ class Learned(Policy):
         worlds, n, size = rows.shape
         flat = rows.reshape(worlds * n, size)
         output = np.empty((worlds * n, self.config.action_size), dtype=np.float32)
-        step = BLOCK * _BLOCKS
-        for start in range(0, len(flat), step):
-            part = slice(start, start + step)
+        for start in range(0, len(flat), _ROWS):
+            part = slice(start, start + _ROWS)
             output[part] = self._forward(self._look(flat[part], part))
         self._fresh[:] = False
         actions = np.clip(output, -1.0, 1.0).reshape(worlds, n, -1)
@@ -89,7 +85,7 @@ class Learned(Policy):
         """What the network sees, `(rows, history * entries)`, after these observations."""
         bound = np.float32(self.card.clip)
         with np.errstate(over="ignore"):  # of a tiny scale: infinity is clipped
-            now = np.clip((rows - self._mean) / self._scale, -bound, bound)
+            now: Rows = np.clip((rows - self._mean) / self._scale, -bound, bound)
         if self.card.history == 1:
             return now
         seen, fresh = self._seen[part], self._fresh[part]
@@ -100,14 +96,14 @@ class Learned(Policy):
 
     def _forward(self, inputs: Rows) -> Rows:
         """The network's output for any number of rows."""
-        count, size = inputs.shape
-        x = np.zeros((-(-count // BLOCK), BLOCK, size), dtype=np.float32)
-        x.reshape(-1, size)[:count] = inputs
+        x = spread(inputs)
         for i, (weight, bias) in enumerate(self._layers):
-            x = np.matmul(x, weight) + bias
+            y = np.empty((len(x), len(bias), LANES), dtype=np.float32)
+            layer(weight, bias, x, y)
             if i + 1 < len(self._layers):
-                x = np.tanh(x) if self.card.activation == "tanh" else np.maximum(x, 0.0)
-        return x.reshape(-1, x.shape[-1])[:count]
+                y = np.tanh(y) if self.card.activation == "tanh" else np.maximum(y, np.float32(0.0))
+            x = y
+        return gathered(x, len(inputs), self.card.action_size)
 
 
 def _require_fit(card: Card, config: FormationConfig) -> None:
