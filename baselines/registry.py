@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -35,9 +35,10 @@ def is_policy(name: object) -> bool:
     return isinstance(name, str) and (name in POLICIES or name in METHODS or name.endswith(SUFFIX))
 
 
-def shipped_methods() -> tuple[str, ...]:
-    """The methods of which at least one file is there."""
-    return tuple(m for m in METHODS if any(SHIPPED.glob(f"{m}-*-*{SUFFIX}")))
+def available(configs: Collection[FormationConfig]) -> list[str]:
+    """The names of all that can fly at least one of the configurations."""
+    methods = [m for m in METHODS if any(_shipped(m, config) for config in configs)]
+    return [*POLICIES, *methods]
 
 
 def recipe(name: str, config: FormationConfig) -> Recipe:
@@ -54,6 +55,11 @@ def recipe(name: str, config: FormationConfig) -> Recipe:
     if name in POLICIES:
         return Recipe(POLICIES[name])
     path = Path(name) if name.endswith(SUFFIX) else _shipped(name, config)
+    if path is None:
+        raise Misfit(
+            f"policy = {name!r}: no file for action level {config.action!r} is shipped, neither for "
+            f"scenario {config.scenario!r} nor for {USUAL!r}"
+        )
     source = load(path)
     made = Recipe(partial(Learned, source=source), path.name, source[0])
     try:
@@ -63,16 +69,13 @@ def recipe(name: str, config: FormationConfig) -> Recipe:
     return made
 
 
-def _shipped(method: str, config: FormationConfig) -> Path:
-    """The file of a method for a configuration."""
+def _shipped(method: str, config: FormationConfig) -> Path | None:
+    """The file of a method for a configuration, if there is one."""
     for scenario in dict.fromkeys((config.scenario, USUAL)):
         path = SHIPPED / f"{method}-{scenario}-{config.action}{SUFFIX}"
         if path.is_file():
             return path
-    raise Misfit(
-        f"policy = {method!r}: no file for action level {config.action!r} is shipped, neither for "
-        f"scenario {config.scenario!r} nor for {USUAL!r}"
-    )
+    return None
 
 
 def make_policy(name: str, config: FormationConfig) -> Policy:
