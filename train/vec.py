@@ -173,8 +173,7 @@ class FollowerVecEnv(VecEnv):
     def _begin_again(self, done: NDArray[np.bool_]) -> Array:
         """Start the next episode in the worlds that are `done`; what every row sees then."""
         begun = perf_counter()
-        self.envs.reset(options={"reset_mask": done})
-        results = self.envs.simulation.look()
+        results = self.envs.simulation.reset(done)
         self.seconds += perf_counter() - begun
         self._left[done] = -1
         if self._expert is not None:
@@ -196,7 +195,7 @@ class FollowerVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """An attribute of the environment behind the rows, once for each."""
-        return [getattr(self.envs, attr_name)] * len(self._get_indices(indices))
+        return [getattr(self.envs, attr_name)] * self._count(indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Set an attribute of the environment behind all rows."""
@@ -204,12 +203,14 @@ class FollowerVecEnv(VecEnv):
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> Any:
         """Call a method of the environment behind the rows, once; its result for each row."""
-        rows = len(self._get_indices(indices))
-        return [getattr(self.envs, method_name)(*args, **kwargs)] * rows
+        return [getattr(self.envs, method_name)(*args, **kwargs)] * self._count(indices)
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
         """No row is wrapped by itself."""
-        return [False] * len(self._get_indices(indices))
+        return [False] * self._count(indices)
+
+    def _count(self, indices: Any) -> int:
+        return len(list(self._get_indices(indices)))
 
     def get_state(self) -> dict[str, Array]:
         """Everything needed to continue identically, as copies of arrays by name."""
