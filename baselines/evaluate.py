@@ -1,8 +1,8 @@
 """Score policies on scenarios: `python -m baselines.evaluate`, or `formation-evaluate`.
 
-Every policy flies the same episodes: world i of a scenario has the seed `seed + i`, as
-`gym.make(...).reset(seed=seed + i)` has. Hover and the expert always fly, because they are the 0 and the 1
-of the score. Results do not depend on the number of threads.
+Policies are named, or are files (see `baselines.files`). Each flies the same episodes: world i of a
+scenario has the seed `seed + i`, as `gym.make(...).reset(seed=seed + i)` has. Hover and the expert always
+fly, because they are the 0 and the 1 of the score. Results do not depend on the number of threads.
 
 Prints a table and writes `results.json` (layout: see `baselines.report`) and `results.md` into the
 output folder. `--leaderboard` also writes `LEADERBOARD.md` and the README's extract of it.
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import sys
 import tempfile
 from collections.abc import Iterable, Sequence
@@ -22,8 +23,9 @@ from typing import Any, NoReturn, final
 import formation_env
 from baselines import report
 from baselines.explanations import explanations
-from baselines.registry import POLICIES
-from baselines.scoring import EPISODES, Report, evaluate
+from baselines.files import SUFFIX
+from baselines.registry import METHODS, POLICIES, available, is_policy
+from baselines.scoring import EPISODES, Report, enlist, evaluate
 from formation_env import SCENARIOS, FormationConfig, configure
 from formation_env.config import LEVELS
 
@@ -119,6 +121,18 @@ def _names(known: Iterable[str]) -> Any:
     return read
 
 
+def _policies(text: str) -> list[str]:
+    """Names and paths; only commas divide them, since a path may have spaces."""
+    names = [name for name in map(str.strip, text.split(",")) if name]
+    for name in names or [text]:
+        if not is_policy(name):
+            known = ", ".join((*POLICIES, *METHODS))
+            raise argparse.ArgumentTypeError(
+                f"{name!r}: expected some of {known}, or paths of *{SUFFIX} files"
+            )
+    return list(dict.fromkeys(names))
+
+
 def _parser() -> _Parser:
     parser = _Parser(
         prog="formation-evaluate",
@@ -127,8 +141,9 @@ def _parser() -> _Parser:
         allow_abbrev=False,
     )
     add = parser.add_argument
-    add("--policies", type=_names(POLICIES), default=",".join(POLICIES), metavar="NAMES",
-        help=f"comma-separated, of {', '.join(POLICIES)}")  # fmt: skip
+    add("--policies", type=_policies, default=argparse.SUPPRESS, metavar="NAMES",
+        help=f"comma-separated, of {', '.join((*POLICIES, *METHODS))} (learned ones from the files that "
+        f"are shipped) and paths of your own *{SUFFIX} files (default: all but the latter)")  # fmt: skip
     add("--scenarios", type=_names(SCENARIOS), default=",".join(SCENARIOS), metavar="NAMES",
         help=f"comma-separated, of {', '.join(SCENARIOS)}")  # fmt: skip
     add("--episodes", type=_whole(1, 1_000_000), default=EPISODES, metavar="N",
@@ -185,13 +200,13 @@ def _check_readme(checkout: Path) -> None:
         raise ValueError(f"argument --leaderboard: {path}: {reason}") from None
 
 
-def _command(options: argparse.Namespace) -> str:
+def _command(options: argparse.Namespace, everybody: list[str]) -> str:
     """The command that repeats the figures: without what does not change them."""
     words = ["python -m baselines.evaluate"]
-    chosen = {"policies": list(POLICIES), "scenarios": list(SCENARIOS)}
+    chosen = {"policies": everybody, "scenarios": list(SCENARIOS)}
     for name, everything in chosen.items():
         if getattr(options, name) != everything:
-            words.append(f"--{name} {','.join(getattr(options, name))}")
+            words.append(f"--{name} {shlex.quote(','.join(getattr(options, name)))}")
     for name, usual in {"episodes": EPISODES, "seed": 0, "action": None, "duration": None}.items():
         if getattr(options, name) != usual:
             words.append(f"--{name} {getattr(options, name)}")
@@ -204,6 +219,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         configs = _configs(options)
+        everybody = available(configs.values())
+        options.policies = getattr(options, "policies", everybody)
+        enlist(configs, options.policies)
         if options.leaderboard is not None:
             _check_readme(options.leaderboard)
             _prepare(options.leaderboard, ["LEADERBOARD.md"])
@@ -221,21 +239,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for remark in explanations(result):
         print(f"\n{remark}")
     try:
-        _write(result, options)
+        _write(result, options, _command(options, everybody))
     except OSError as problem:
         print(f"{parser.prog}: error: {problem}; earlier results are kept", file=sys.stderr)
         return 1
     return 0
 
 
-def _write(result: Report, options: argparse.Namespace) -> None:
+def _write(result: Report, options: argparse.Namespace, command: str) -> None:
     folder: Path = options.output
     write_text(folder / "results.json", report.to_json(result))
     write_text(folder / "results.md", "# Results\n\n" + report.markdown(result))
     print(f"\nwritten: {folder / 'results.json'}, {folder / 'results.md'}")
     if options.leaderboard is not None:
         readme = options.leaderboard / "README.md"
-        write_text(options.leaderboard / "LEADERBOARD.md", leaderboard(result, _command(options)))
+        write_text(options.leaderboard / "LEADERBOARD.md", leaderboard(result, command))
         text = with_extract(readme.read_text(encoding="utf-8"), report.extract(result))
         write_text(readme, text)
         print(f"written: {options.leaderboard / 'LEADERBOARD.md'}, {readme}")

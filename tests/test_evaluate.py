@@ -200,7 +200,8 @@ def test_command_writes_results(tmp_path: Path, capsys: pytest.CaptureFixture[st
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--policies", "expert,ppo"], "'ppo': expected some of expert, pd, hover, random"),
+        (["--policies", "expert,best"], "'best': expected some of expert, pd, hover, random"),
+        (["--policies", "mine.safetensors"], "mine.safetensors: cannot be read: No such file"),
         (["--policies", ""], "'': expected some of"),
         (["--scenarios", "windy"], "'windy': expected some of nominal, paper"),
         (["--episodes", "0"], "'0': expected a whole number from 1 to"),

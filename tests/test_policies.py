@@ -41,9 +41,9 @@ def test_names_lead_to_policies() -> None:
     for name in ("expert", "pd", "hover", "random"):
         assert make_policy(name, config).name == name
     with pytest.raises(
-        ValueError, match="'ppo': expected one of 'expert', 'pd', 'hover', 'random'"
+        ValueError, match="'best': expected one of 'expert', 'pd', 'hover', 'random', 'ppo'"
     ):
-        make_policy("ppo", config)
+        make_policy("best", config)
 
 
 @pytest.mark.parametrize("level", LEVELS)
