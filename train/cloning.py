@@ -4,7 +4,8 @@ of them, and a network fitted to what the teacher said.
 
 from __future__ import annotations
 
-from typing import Any, final
+from itertools import pairwise
+from typing import Any, cast, final
 
 import numpy as np
 import torch
@@ -16,8 +17,8 @@ from baselines.policy import Policy
 from formation_env import FormationConfig
 from formation_env.simulation import Simulation, seeded_key
 from formation_env.task import Layout
+from train.evaluation import TRAINING_SEEDS
 from train.networks import CLIP, fixed_scales
-from train.scoring import STREAMS, TRAINING
 
 Rows = NDArray[np.float32]
 
@@ -63,7 +64,15 @@ class Memory:
         chosen = self.seen[(ticks[:, None] - back) % self.ticks, rows[:, None]]
         return np.asarray(chosen.reshape(len(ticks), -1))
 
-    def draw(self, rng: np.random.Generator, count: int, first: int, last: int) -> tuple[Rows, Rows]:
+    def everything(self) -> tuple[Rows, Rows]:
+        """All observations and labels, `(N, ...)` each."""
+        kept = min(self.count, self.ticks)
+        seen, labels = self.seen[:kept], self.labels[:kept]
+        return seen.reshape(-1, seen.shape[-1]), labels.reshape(-1, labels.shape[-1])
+
+    def draw(
+        self, rng: np.random.Generator, count: int, first: int, last: int
+    ) -> tuple[Rows, Rows]:
         """Random inputs and labels of the rows from `first` to before `last`."""
         oldest = max(0, self.count - self.ticks)
         begin = oldest + self.history - 1 if oldest else 0
@@ -98,7 +107,7 @@ class Clone(nn.Module):
         self.register_buffer("gain", torch.ones(len(mean) * history))
         self.register_buffer("size", torch.ones(config.action_size))
         widths = [len(mean) * history, *hidden, config.action_size]
-        self.linear = nn.ModuleList(nn.Linear(a, b) for a, b in zip(widths, widths[1:], strict=False))
+        self.linear = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(widths))
         self._activation = torch.tanh if activation == "tanh" else torch.relu
         self._entries, self._history = len(mean), history
 
@@ -106,7 +115,9 @@ class Clone(nn.Module):
         """Take the standardisation from observations `(N, entries)` and their labels."""
         entries = self._entries
         x = (seen - self.mean[:entries].numpy()) / self.scale[:entries].numpy()
-        gain = 1.0 / np.maximum(x.std(axis=0), _LEAST)
+        import os
+
+        gain = 1.0 / np.maximum(float(os.environ.get("WIDE", "1")) * x.std(axis=0), _LEAST)
         for name in UNSEEN:
             gain[layout.slices[name]] = 0.0
         gain[layout.first_neighbour :] = 0.0
@@ -133,9 +144,10 @@ class Clone(nn.Module):
 
     def network(self) -> Network:
         """The numbers for a policy file."""
+        layers = [cast(nn.Linear, layer) for layer in self.linear]
         with torch.no_grad():
-            weights = [layer.weight.double() for layer in self.linear]
-            biases = [layer.bias.double() for layer in self.linear]
+            weights = [layer.weight.double() for layer in layers]
+            biases = [layer.bias.double() for layer in layers]
             weights[0] = weights[0] * self.gain
             biases[0] = biases[0] - weights[0] @ self.centre.double()
             weights[-1] = weights[-1] * self.size[:, None]
@@ -177,7 +189,7 @@ class Flight:
         self.rng = np.random.default_rng(seed)
         self.simulation = Simulation(config, worlds, threads)
         for world in range(worlds):
-            self.simulation.seed(world, seeded_key(TRAINING + STREAMS * seed + world))
+            self.simulation.seed(world, seeded_key(TRAINING_SEEDS + worlds * seed + world))
         teacher.reset(seed=seed, worlds=worlds)
         self._seen = self.simulation.reset().observations
         self._age = np.zeros(worlds, dtype=np.int64)
@@ -185,12 +197,20 @@ class Flight:
         self._noise = np.zeros((worlds, config.followers, config.action_size))
 
     def fly(
-        self, ticks: int, memory: Memory, clone: Clone | None, share: float, noise: Rows | None
+        self,
+        ticks: int,
+        memory: Memory,
+        clone: Clone | None = None,
+        share: float = 1.0,
+        tolerance: float = np.inf,
+        noise: NDArray[Any] | None = None,
     ) -> None:
         """Fly on for so many ticks and note everything in `memory`.
 
-        The teacher flies about `share` of the worlds, the clone the others, drawn anew each time.
-        `noise` is the standard deviation of what is added to executed actions.
+        The teacher flies about `share` of the worlds, the clone, if there is one, the others, drawn
+        anew each time; and a follower whose clone is off by more than `tolerance` times the labels'
+        size is flown by the teacher for the tick. `noise` `(action_size,)` is the standard deviation of what is added to executed
+        actions.
         """
         taught = self.rng.random(self.worlds) < share
         n = self.config.followers
@@ -203,12 +223,13 @@ class Flight:
             if clone is not None and not taught.all():
                 now = np.full(len(everyone), memory.count - 1)
                 own = clone.act(memory.inputs(now, everyone)).reshape(labels.shape)
-                actions = np.where(taught[:, None, None], labels, own)
+                far = (np.abs(own - labels) > tolerance * clone.size.numpy()).any(axis=-1)
+                actions = np.where((taught[:, None] | far)[..., None], labels, own)
             if noise is not None:
                 actions = np.clip(actions + self._disturbance(noise), -1.0, 1.0)
             self._step(actions.astype(np.float32))
 
-    def _disturbance(self, deviation: Rows) -> NDArray[np.float64]:
+    def _disturbance(self, deviation: NDArray[Any]) -> NDArray[np.float64]:
         """Coloured noise, with a memory of about ten ticks: white noise hardly moves a vehicle."""
         keep = 0.9
         draw = self.rng.standard_normal(self._noise.shape)
