@@ -115,9 +115,7 @@ class Clone(nn.Module):
         """Take the standardisation from observations `(N, entries)` and their labels."""
         entries = self._entries
         x = (seen - self.mean[:entries].numpy()) / self.scale[:entries].numpy()
-        import os
-
-        gain = 1.0 / np.maximum(float(os.environ.get("WIDE", "1")) * x.std(axis=0), _LEAST)
+        gain = 1.0 / np.maximum(x.std(axis=0), _LEAST)
         for name in UNSEEN:
             gain[layout.slices[name]] = 0.0
         gain[layout.first_neighbour :] = 0.0
@@ -202,15 +200,15 @@ class Flight:
         memory: Memory,
         clone: Clone | None = None,
         share: float = 1.0,
-        tolerance: float = np.inf,
+        stray: float = np.inf,
         noise: NDArray[Any] | None = None,
     ) -> None:
         """Fly on for so many ticks and note everything in `memory`.
 
         The teacher flies about `share` of the worlds, the clone, if there is one, the others, drawn
-        anew each time; and a follower whose clone is off by more than `tolerance` times the labels'
-        size is flown by the teacher for the tick. `noise` `(action_size,)` is the standard deviation of what is added to executed
-        actions.
+        anew each time. Where the teacher wants more than `stray` times the labels' size, the clone has
+        lost it, and the world begins again. `noise` `(action_size,)` is the standard deviation of what
+        is added to executed actions.
         """
         taught = self.rng.random(self.worlds) < share
         n = self.config.followers
@@ -223,8 +221,9 @@ class Flight:
             if clone is not None and not taught.all():
                 now = np.full(len(everyone), memory.count - 1)
                 own = clone.act(memory.inputs(now, everyone)).reshape(labels.shape)
-                far = (np.abs(own - labels) > tolerance * clone.size.numpy()).any(axis=-1)
-                actions = np.where((taught[:, None] | far)[..., None], labels, own)
+                actions = np.where(taught[:, None, None], labels, own)
+                far = np.abs(labels) > stray * clone.size.numpy()
+                self._left[far.any(axis=(1, 2))] = 1
             if noise is not None:
                 actions = np.clip(actions + self._disturbance(noise), -1.0, 1.0)
             self._step(actions.astype(np.float32))

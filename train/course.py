@@ -92,7 +92,7 @@ class Course:
             return
         clone = self.clone if o.method == "dagger" else None
         noise = o.noise * self.clone.size.numpy() if o.noise > 0.0 else None
-        self.flight.fly(o.ticks, self.memory, clone, o.share**number, o.tolerance, noise)
+        self.flight.fly(o.ticks, self.memory, clone, o.share**number, o.stray, noise)
 
     def _learn(self) -> float:
         """The optimiser's steps of a round; the mean loss."""

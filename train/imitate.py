@@ -59,9 +59,9 @@ class Options:
     share: float = 0.5
     """Part of the worlds that the teacher flies in the second round of dagger; its square in the third,
     and so on."""
-    tolerance: float = 3.0
-    """A follower whose clone is off by more than so many times the size of the teacher's actions is flown
-    by the teacher for the tick."""
+    stray: float = 30.0
+    """A world in which the teacher wants more than so many times its usual action begins again: far from
+    home there is nothing to learn for those who keep close."""
     noise: float = 0.0
     """Of executed actions, in units of the size of the teacher's: shows recoveries (DART)."""
     batch: int = 2048
@@ -136,7 +136,7 @@ _WHOLE = {
 }
 _REAL = {
     "share": (0.0, 1.0),
-    "tolerance": (0.0, 1e9),
+    "stray": (1.0, 1e9),
     "noise": (0.0, 1e3),
     "learning_rate": (1e-12, 1.0),
     "huber": (1e-6, 1e6),
