@@ -107,7 +107,7 @@ class Course:
             loss.backward()  # type: ignore[no-untyped-call]
             self._optimiser.step()
             self._schedule.step()
-            total += float(loss)
+            total += loss.item()
         return total / o.updates
 
     def _held_out(self) -> float:

@@ -11,7 +11,6 @@ take; and `log.csv`, the score against samples and minutes. An interruption (Ctr
 
 from __future__ import annotations
 
-import os
 import shlex
 import sys
 import warnings
@@ -81,8 +80,8 @@ class Options:
     """In an evaluation."""
     tensorboard: bool = False
     """Write losses and scores for TensorBoard too."""
-    threads: int = field(default_factory=lambda: os.cpu_count() or 1)
-    """At most so many; another number of them rounds otherwise."""
+    threads: int = 1
+    """At most so many, worth it for large networks; another number of them rounds otherwise."""
     quiet: bool = False
     """No progress bar, no lines but the errors."""
 
