@@ -41,7 +41,8 @@ def memory_of(config: Any, worlds: int, ticks: int, history: int = 1) -> Memory:
 def test_a_clone_learns_what_the_teacher_says(tmp_path: Path) -> None:
     """Flown by itself it is far better than hover after seconds: the score's zero."""
     words = ["--worlds", "32", "--rounds", "8", "--ticks", "100", "--updates", "100", "--quiet",
-             "--action", "reference", "--batch", "512", "--evaluate-every", "1", "--episodes", "8"]  # fmt: skip
+             "--action", "reference", "--batch", "512", "--evaluate-every", "1",
+             "--episodes", "8"]  # fmt: skip
     assert main(["--output", str(tmp_path), *words]) == 0
     lines = (tmp_path / "log.csv").read_text().splitlines()
     assert lines[0] == "steps,minutes,score,low,high,return,slot_error_rms,failed,seed"

@@ -233,7 +233,7 @@ class Flight:
         keep = 0.9
         draw = self.rng.standard_normal(self._noise.shape)
         self._noise = keep * self._noise + np.sqrt(1.0 - keep * keep) * draw
-        return self._noise * deviation
+        return np.asarray(self._noise * deviation)
 
     def _step(self, actions: Rows) -> None:
         results = self.simulation.step(actions)

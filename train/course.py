@@ -22,6 +22,7 @@ from train.imitate import Options
 BEST, LOG = "best.safetensors", "log.csv"
 
 _HELD_OUT = 8  # one world of so many
+_TAUGHT = 0.2  # part of the worlds that the teacher keeps, unless even less is asked for
 _LAST_RATE = 0.005  # of the learning rate, at the end
 
 
@@ -92,7 +93,8 @@ class Course:
             return
         clone = self.clone if o.method == "dagger" else None
         noise = o.noise * self.clone.size.numpy() if o.noise > 0.0 else None
-        self.flight.fly(o.ticks, self.memory, clone, o.share**number, o.stray, noise)
+        share = max(min(o.share, _TAUGHT), o.share**number)
+        self.flight.fly(o.ticks, self.memory, clone, share, o.stray, noise)
 
     def _learn(self) -> float:
         """The optimiser's steps of a round; the mean loss."""

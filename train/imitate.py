@@ -15,7 +15,7 @@ import shlex
 import sys
 import warnings
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, fields
 from math import isfinite
 from pathlib import Path
 from typing import Literal, final
@@ -53,11 +53,11 @@ class Options:
     """Steps of the optimiser in a round."""
     worlds: int = 64
     """How many fly at once; what an eighth of them shows is held out."""
-    buffer: int = 2000
+    buffer: int = 4000
     """Ticks of every world that are remembered, the latest."""
     share: float = 0.5
     """Part of the worlds that the teacher flies in the second round of dagger; its square in the third,
-    and so on."""
+    and so on down to a fifth, so that what a clone that fails early never reaches is not forgotten."""
     stray: float = 30.0
     """A world in which the teacher wants more than so many times its usual action begins again: far from
     home there is nothing to learn for those who keep close."""
