@@ -15,7 +15,7 @@ import os
 import shlex
 import sys
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
 from typing import Any, NoReturn, final
@@ -110,15 +110,18 @@ def _seconds(text: str) -> float:
     return value
 
 
-def _names(known: Iterable[str]) -> Any:
-    def read(text: str) -> list[str]:
-        names = [name for name in text.replace(",", " ").split() if name]
-        for name in names or [text]:
-            if name not in known:
-                raise argparse.ArgumentTypeError(f"{name!r}: expected some of {', '.join(known)}")
-        return list(dict.fromkeys(names))
-
-    return read
+def _scenarios(text: str) -> list[str]:
+    """Names, each perhaps with an action level after a colon."""
+    names = [name for name in text.replace(",", " ").split() if name]
+    for name in names or [text]:
+        scenario, colon, level = name.partition(":")
+        if scenario not in SCENARIOS:
+            raise argparse.ArgumentTypeError(f"{name!r}: expected some of {', '.join(SCENARIOS)}")
+        if colon and level not in LEVELS:
+            raise argparse.ArgumentTypeError(
+                f"{name!r}: expected after the colon one of {', '.join(LEVELS)}"
+            )
+    return list(dict.fromkeys(names))
 
 
 def _policies(text: str) -> list[str]:
@@ -144,12 +147,12 @@ def _parser() -> _Parser:
     add("--policies", type=_policies, default=argparse.SUPPRESS, metavar="NAMES",
         help=f"comma-separated, of {', '.join((*POLICIES, *METHODS))} (learned ones from the files that "
         f"are shipped) and paths of your own *{SUFFIX} files (default: all but the latter)")  # fmt: skip
-    add("--scenarios", type=_names(SCENARIOS), default=",".join(SCENARIOS), metavar="NAMES",
-        help=f"comma-separated, of {', '.join(SCENARIOS)}")  # fmt: skip
+    add("--scenarios", type=_scenarios, default=",".join(SCENARIOS), metavar="NAMES",
+        help=f"comma-separated, of {', '.join(SCENARIOS)}; NAME:LEVEL at another action level")  # fmt: skip
     add("--episodes", type=_whole(1, 1_000_000), default=EPISODES, metavar="N",
         help="for each scenario and policy")  # fmt: skip
     add("--seed", type=_whole(0, 2**32), default=0, metavar="N", help="of the first episode")
-    add("--action", choices=tuple(LEVELS), help="action level instead of the scenario's own")
+    add("--action", choices=tuple(LEVELS), help="action level instead of the scenarios' own")
     add("--duration", type=_seconds, metavar="S", help="episode length instead of the scenario's")
     add(
         "--output", type=Path, default=Path("results"), metavar="DIR", help="folder for the results"
@@ -163,12 +166,12 @@ def _parser() -> _Parser:
 
 def _configs(options: argparse.Namespace) -> dict[str, FormationConfig]:
     """The chosen scenarios with the overrides. Raises `ValueError` naming scenario and field."""
-    given = {"action": options.action, "duration": options.duration}
-    overrides = {k: v for k, v in given.items() if v is not None}
     configs = {}
     for name in options.scenarios:
+        scenario, _, level = name.partition(":")
+        given = {"action": level or options.action, "duration": options.duration}
         try:
-            configs[name] = configure(name, **overrides)
+            configs[name] = configure(scenario, **{k: v for k, v in given.items() if v is not None})
         except ValueError as problem:
             raise ValueError(f"scenario {name}: {problem}") from None
     return configs

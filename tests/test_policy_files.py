@@ -303,7 +303,7 @@ def _spoilt(name: str, value: float) -> dict[str, Any]:
         (_with("mean", np.zeros(ENTRIES)), "tensor 'mean': type F64, expected F32"),
         (_with("mean", np.zeros(ENTRIES, np.float16)), "type F16, expected F32"),
         (_with("layers.0.bias", np.zeros(0, np.float32)), "tensor layers.0"),
-        ({}, "0 layers: expected 1 to 32"),
+        ({"mean": _numbers()["mean"]}, "0 layers: expected 1 to 32"),
     ],
     ids=range(19),
 )
