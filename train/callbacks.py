@@ -92,13 +92,14 @@ class Keeper(BaseCallback):
         begun = perf_counter()
         made = self._policy()
         score, columns = self._judge.judge(*made)
-        means = {name: float(columns[name].mean()) for name in ("return", "slot_error_rms")}
         row = Row(
             self.num_timesteps,
             self.minutes,
-            *(float(x) for x in score[:3]),
-            means["return"],
-            means["slot_error_rms"],
+            score.value,
+            score.low,
+            score.high,
+            float(columns["return"].mean()),
+            float(columns["slot_error_rms"].mean()),
             float(columns["failed"].mean()),
             made[0].seed,
         )

@@ -36,6 +36,8 @@ class Learner(PPO):
     seconds = 0.0  # in updates
     alone_until = 0  # agent steps
 
+    policy: FollowerPolicy
+
     def train(self) -> None:
         """One update."""
         begun = perf_counter()
@@ -50,12 +52,14 @@ class Learner(PPO):
 class Run:
     """A run that is ready to train; see `prepare`."""
 
-    def __init__(self, options: Options, source: tuple[Card, Network] | None) -> None:
-        self.options, self._source = options, source
+    def __init__(
+        self, options: Options, method: str, source: tuple[Card, Network] | None = None
+    ) -> None:
+        self.options, self._method = options, method
         torch.set_num_threads(options.threads)
         self.env = _environment(options)
         self.model = _model(options, self.env, source)
-        self.policy: FollowerPolicy = self.model.policy  # type: ignore[assignment]
+        self.policy = self.model.policy
         self.entries = self.env.entries
         self.spread = Spread(self.env.config.layout)
         self.diary = Diary([], 0.0, 0)
@@ -70,13 +74,15 @@ class Run:
         o, config = self.options, self.env.config
         minutes = self._keeper.minutes if self._keeper else 0.0
         rows = self._keeper.rows if self._keeper else []
-        now = [r for r in rows if r.steps == self.model.num_timesteps]
+        now = {}
+        if rows and rows[-1].steps == self.model.num_timesteps:
+            now = {o.scenario: [rows[-1].score, rows[-1].low, rows[-1].high]}
         card = Card(
             action=config.action,
             entries=self.entries,
             action_size=config.action_size,
             scenario=o.scenario,
-            method=_method(o, self._source),
+            method=self._method,
             activation=o.activation,
             history=o.history,
             residual=o.residual,
@@ -86,7 +92,7 @@ class Run:
             steps=int(self.model.num_timesteps),
             minutes=minutes,
             package=formation_env.__version__,
-            score={o.scenario: [r.score, r.low, r.high] for r in now},
+            score=now,
         )
         return card, network(self.policy, self.entries)
 
@@ -106,6 +112,7 @@ class Run:
             self.options.output / checkpoint.NAME,
             {
                 "options": to_json(self.options),
+                "method": self._method,
                 "steps": int(self.model.num_timesteps),
                 "updates": int(self.model._n_updates),
                 "random": facts,
@@ -214,25 +221,37 @@ def prepare(options: Options) -> Run:
     Raises `ValueError` for options that cannot be, `OSError` for the folder.
     """
     path = options.output / checkpoint.NAME
-    saved = None
     if options.resume:
-        saved = checkpoint.load(path)
-        options = continued(saved[0]["options"], options)
-    elif path.exists():
+        return _resumed(path, options)
+    if path.exists():
         raise ValueError(f"{path} exists: go on with --resume, or choose another folder")
     source = None if options.init is None else files.load(options.init)
     if source is not None:
         options = _fitted(options, *source)
-    options.output.mkdir(parents=True, exist_ok=True)
-    checkpoint.write(options.output / ".writable", b"")
-    (options.output / ".writable").unlink()
-    run = Run(options, source)
-    if saved is not None:
-        try:
-            run.restore(*saved)
-        except (KeyError, RuntimeError, ValueError) as problem:
-            raise ValueError(f"{path}: does not fit its own options ({problem})") from None
+    _prepare_folder(options.output)
+    return Run(options, _method(options, source), source)
+
+
+def _resumed(path: Path, given: Options) -> Run:
+    facts, arrays = checkpoint.load(path)
+    try:
+        options = continued(facts.get("options", {}), given)
+    except ValueError as problem:
+        raise ValueError(f"{path}: {problem}") from None
+    _prepare_folder(options.output)
+    try:
+        run = Run(options, facts["method"])
+        run.restore(facts, arrays)
+    except (KeyError, RuntimeError, TypeError, ValueError) as problem:
+        raise ValueError(f"{path}: does not fit its own options ({problem})") from None
     return run
+
+
+def _prepare_folder(folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    probe = folder / ".writable"
+    checkpoint.write(probe, b"")
+    probe.unlink()
 
 
 def _fitted(options: Options, card: Card, net: Network) -> Options:
@@ -254,7 +273,7 @@ def _fitted(options: Options, card: Card, net: Network) -> Options:
         history=card.history,
         residual=card.residual,
         hidden=tuple(hidden_sizes(net)),
-        activation=card.activation,
+        activation="relu" if card.activation == "relu" else "tanh",
     )
 
 
@@ -324,7 +343,7 @@ def _model(options: Options, env: FollowerVecEnv, source: tuple[Card, Network] |
         )
     model.alone_until = options.critic_steps
     model.set_logger(configure_logger(str(Path(options.output) / "tensorboard"), ["tensorboard"]))
-    policy: FollowerPolicy = model.policy  # type: ignore[assignment]
+    policy = model.policy
     if source is None:
         scales = fixed_scales(env.config.layout)
         policy.normalise(*scales, _state_scales(options, env))

@@ -113,7 +113,7 @@ class FollowerPolicy(ActorCriticPolicy):
     level `wrench`, where the expert's actions are a few thousandths, it would fling them otherwise.
     """
 
-    mlp_extractor: Towers
+    mlp_extractor: Towers  # type: ignore[assignment]
 
     def __init__(self, *args: Any, own: int, gain: float = 1.0, **kwargs: Any) -> None:
         self._own, self.gain = own, gain

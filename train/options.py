@@ -113,11 +113,12 @@ class Options:
 
     def config(self) -> FormationConfig:
         """The task as the leaderboard has it."""
-        return configure(self.scenario, **({} if self.action is None else {"action": self.action}))
+        given: dict[str, Any] = {} if self.action is None else {"action": self.action}
+        return configure(self.scenario, **given)
 
     def training_config(self) -> FormationConfig:
         """The task as it is trained. Raises `ValueError` naming the field if it is impossible."""
-        given = {
+        given: dict[str, Any] = {
             "start": self.start,
             "start_offset": self.start_offset,
             "duration": self.scenario_duration,

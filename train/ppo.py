@@ -33,12 +33,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # theirs, at import
             import rich  # noqa: F401
-            import tensorboard  # noqa: F401
+            import tensorboard  # type: ignore[import-untyped]  # noqa: F401
             import tyro
 
             from train.learner import prepare
             from train.options import Options
     except ModuleNotFoundError as problem:
+        if (problem.name or "").partition(".")[0] in ("train", "baselines", "formation_env"):
+            raise
         return _fail(f'{problem.name} is not installed: pip install "formation-env[train]"', 2)
     try:
         options = tyro.cli(Options, prog=f"python -m {PROGRAM}", args=arguments)

@@ -80,8 +80,10 @@ class FollowerVecEnv(VecEnv):
         self._left = np.zeros(worlds, dtype=np.int64)  # ticks to an early end, negative: none
         self._actions = np.zeros((worlds, self.followers, self.config.action_size), np.float32)
         high = np.tile(self.config.layout.bound, history)
+        self._bound: Array = np.zeros(0, dtype=np.float32)  # of the state's numbers
         if self._central:
-            high = np.concatenate((high, parallel_env(scenario=self.config).state_space.high))
+            self._bound = parallel_env(scenario=self.config).state_space.high
+            high = np.concatenate((high, self._bound))
         super().__init__(
             worlds * self.followers,
             spaces.Box(-high, high, dtype=np.float32),
@@ -134,7 +136,7 @@ class FollowerVecEnv(VecEnv):
         slots = results.outputs[..., SLOT : SLOT + 3]
         parts = [x.reshape(self.worlds, -1) for x in (vehicles, slots, s.started)]
         state = np.concatenate(parts, axis=1).astype(np.float32)
-        bound = self.observation_space.high[self.own :]
+        bound = self._bound
         return np.clip(state, -bound, bound)
 
     # -- stepping -----------------------------------------------------------------------------------
