@@ -45,7 +45,7 @@ class Options:
     history: int = 1
     """How many observations the clone sees, the present one included."""
 
-    rounds: int = 20
+    rounds: int = 40
     """Of flying and then learning."""
     ticks: int = 250
     """Flown in a round, in every world; before the first, the teacher flies an episode's length more."""
