@@ -5,9 +5,12 @@ from __future__ import annotations
 from baselines.expert import Expert
 from baselines.policy import Policy
 from baselines.simple import Hover, Pd, Random
+from baselines.tuned import ExpertTuned
 from formation_env import FormationConfig
 
-POLICIES: dict[str, type[Policy]] = {policy.name: policy for policy in (Expert, Pd, Hover, Random)}
+POLICIES: dict[str, type[Policy]] = {
+    policy.name: policy for policy in (Expert, ExpertTuned, Pd, Hover, Random)
+}
 
 
 def make_policy(name: str, config: FormationConfig) -> Policy:
