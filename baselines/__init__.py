@@ -1,6 +1,6 @@
 """Policies to compare with, their evaluation, and the paper's figures redone."""
 
 from baselines.policy import Policy
-from baselines.registry import POLICIES, make_policy
+from baselines.registry import METHODS, POLICIES, make_policy
 
-__all__ = ["POLICIES", "Policy", "make_policy"]
+__all__ = ["METHODS", "POLICIES", "Policy", "make_policy"]

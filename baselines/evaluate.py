@@ -1,8 +1,8 @@
 """Score policies on scenarios: `python -m baselines.evaluate`, or `formation-evaluate`.
 
-Every policy flies the same episodes: world i of a scenario has the seed `seed + i`, as
-`gym.make(...).reset(seed=seed + i)` has. Hover and the expert always fly, because they are the 0 and the 1
-of the score. Results do not depend on the number of threads.
+Policies are named, or are files (see `baselines.files`). Each flies the same episodes: world i of a
+scenario has the seed `seed + i`, as `gym.make(...).reset(seed=seed + i)` has. Hover and the expert always
+fly, because they are the 0 and the 1 of the score. Results do not depend on the number of threads.
 
 Prints a table and writes `results.json` (layout: see `baselines.report`) and `results.md` into the
 output folder. `--leaderboard` also writes `LEADERBOARD.md` and the README's extract of it.
@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import sys
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
 from typing import Any, NoReturn, final
@@ -22,8 +23,9 @@ from typing import Any, NoReturn, final
 import formation_env
 from baselines import report
 from baselines.explanations import explanations
-from baselines.registry import POLICIES
-from baselines.scoring import EPISODES, Report, evaluate
+from baselines.files import SUFFIX
+from baselines.registry import METHODS, POLICIES, available, is_policy
+from baselines.scoring import EPISODES, Report, enlist, evaluate
 from formation_env import SCENARIOS, FormationConfig, configure
 from formation_env.config import LEVELS
 
@@ -108,15 +110,30 @@ def _seconds(text: str) -> float:
     return value
 
 
-def _names(known: Iterable[str]) -> Any:
-    def read(text: str) -> list[str]:
-        names = [name for name in text.replace(",", " ").split() if name]
-        for name in names or [text]:
-            if name not in known:
-                raise argparse.ArgumentTypeError(f"{name!r}: expected some of {', '.join(known)}")
-        return list(dict.fromkeys(names))
+def _scenarios(text: str) -> list[str]:
+    """Names, each perhaps with an action level after a colon."""
+    names = [name for name in text.replace(",", " ").split() if name]
+    for name in names or [text]:
+        scenario, colon, level = name.partition(":")
+        if scenario not in SCENARIOS:
+            raise argparse.ArgumentTypeError(f"{name!r}: expected some of {', '.join(SCENARIOS)}")
+        if colon and level not in LEVELS:
+            raise argparse.ArgumentTypeError(
+                f"{name!r}: expected after the colon one of {', '.join(LEVELS)}"
+            )
+    return list(dict.fromkeys(names))
 
-    return read
+
+def _policies(text: str) -> list[str]:
+    """Names and paths; only commas divide them, since a path may have spaces."""
+    names = [name for name in map(str.strip, text.split(",")) if name]
+    for name in names or [text]:
+        if not is_policy(name):
+            known = ", ".join((*POLICIES, *METHODS))
+            raise argparse.ArgumentTypeError(
+                f"{name!r}: expected some of {known}, or paths of *{SUFFIX} files"
+            )
+    return list(dict.fromkeys(names))
 
 
 def _parser() -> _Parser:
@@ -127,14 +144,15 @@ def _parser() -> _Parser:
         allow_abbrev=False,
     )
     add = parser.add_argument
-    add("--policies", type=_names(POLICIES), default=",".join(POLICIES), metavar="NAMES",
-        help=f"comma-separated, of {', '.join(POLICIES)}")  # fmt: skip
-    add("--scenarios", type=_names(SCENARIOS), default=",".join(SCENARIOS), metavar="NAMES",
-        help=f"comma-separated, of {', '.join(SCENARIOS)}")  # fmt: skip
+    add("--policies", type=_policies, default=argparse.SUPPRESS, metavar="NAMES",
+        help=f"comma-separated, of {', '.join((*POLICIES, *METHODS))} (learned ones from the files that "
+        f"are shipped) and paths of your own *{SUFFIX} files (default: all but the latter)")  # fmt: skip
+    add("--scenarios", type=_scenarios, default=",".join(SCENARIOS), metavar="NAMES",
+        help=f"comma-separated, of {', '.join(SCENARIOS)}; NAME:LEVEL at another action level")  # fmt: skip
     add("--episodes", type=_whole(1, 1_000_000), default=EPISODES, metavar="N",
         help="for each scenario and policy")  # fmt: skip
     add("--seed", type=_whole(0, 2**32), default=0, metavar="N", help="of the first episode")
-    add("--action", choices=tuple(LEVELS), help="action level instead of the scenario's own")
+    add("--action", choices=tuple(LEVELS), help="action level instead of the scenarios' own")
     add("--duration", type=_seconds, metavar="S", help="episode length instead of the scenario's")
     add(
         "--output", type=Path, default=Path("results"), metavar="DIR", help="folder for the results"
@@ -148,12 +166,12 @@ def _parser() -> _Parser:
 
 def _configs(options: argparse.Namespace) -> dict[str, FormationConfig]:
     """The chosen scenarios with the overrides. Raises `ValueError` naming scenario and field."""
-    given = {"action": options.action, "duration": options.duration}
-    overrides = {k: v for k, v in given.items() if v is not None}
     configs = {}
     for name in options.scenarios:
+        scenario, _, level = name.partition(":")
+        given = {"action": level or options.action, "duration": options.duration}
         try:
-            configs[name] = configure(name, **overrides)
+            configs[name] = configure(scenario, **{k: v for k, v in given.items() if v is not None})
         except ValueError as problem:
             raise ValueError(f"scenario {name}: {problem}") from None
     return configs
@@ -185,13 +203,13 @@ def _check_readme(checkout: Path) -> None:
         raise ValueError(f"argument --leaderboard: {path}: {reason}") from None
 
 
-def _command(options: argparse.Namespace) -> str:
+def _command(options: argparse.Namespace, everybody: list[str]) -> str:
     """The command that repeats the figures: without what does not change them."""
     words = ["python -m baselines.evaluate"]
-    chosen = {"policies": list(POLICIES), "scenarios": list(SCENARIOS)}
+    chosen = {"policies": everybody, "scenarios": list(SCENARIOS)}
     for name, everything in chosen.items():
         if getattr(options, name) != everything:
-            words.append(f"--{name} {','.join(getattr(options, name))}")
+            words.append(f"--{name} {shlex.quote(','.join(getattr(options, name)))}")
     for name, usual in {"episodes": EPISODES, "seed": 0, "action": None, "duration": None}.items():
         if getattr(options, name) != usual:
             words.append(f"--{name} {getattr(options, name)}")
@@ -204,6 +222,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         configs = _configs(options)
+        everybody = available(configs.values())
+        options.policies = getattr(options, "policies", everybody)
+        enlist(configs, options.policies)
         if options.leaderboard is not None:
             _check_readme(options.leaderboard)
             _prepare(options.leaderboard, ["LEADERBOARD.md"])
@@ -221,21 +242,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for remark in explanations(result):
         print(f"\n{remark}")
     try:
-        _write(result, options)
+        _write(result, options, _command(options, everybody))
     except OSError as problem:
         print(f"{parser.prog}: error: {problem}; earlier results are kept", file=sys.stderr)
         return 1
     return 0
 
 
-def _write(result: Report, options: argparse.Namespace) -> None:
+def _write(result: Report, options: argparse.Namespace, command: str) -> None:
     folder: Path = options.output
     write_text(folder / "results.json", report.to_json(result))
     write_text(folder / "results.md", "# Results\n\n" + report.markdown(result))
     print(f"\nwritten: {folder / 'results.json'}, {folder / 'results.md'}")
     if options.leaderboard is not None:
         readme = options.leaderboard / "README.md"
-        write_text(options.leaderboard / "LEADERBOARD.md", leaderboard(result, _command(options)))
+        write_text(options.leaderboard / "LEADERBOARD.md", leaderboard(result, command))
         text = with_extract(readme.read_text(encoding="utf-8"), report.extract(result))
         write_text(readme, text)
         print(f"written: {options.leaderboard / 'LEADERBOARD.md'}, {readme}")

@@ -26,6 +26,7 @@ from baselines.expert_lanes import (
     seen,
     start,
     take,
+    waiting,
 )
 from baselines.policy import Policy, Rows
 from formation_env import FormationConfig
@@ -97,7 +98,7 @@ def _note(
     for t in range(len(memory)):
         x = carve(memory, t * VIRTUAL * LANES, (VIRTUAL * LANES,))
         take(rows, t, CORE, room)
-        if fresh:
+        if fresh and waiting(x):
             start(room.rows, x)
         own = record[t * LANES : (t + 1) * LANES]
         for lane in range(len(own)):
@@ -135,8 +136,13 @@ class Expert(Policy):
 
     def begin(self, seeds: NDArray[np.uint64]) -> None:
         rows = len(seeds) * self.config.followers
-        self._memory = np.zeros((tiles(rows), VIRTUAL * LANES))
+        self._memory = np.full((tiles(rows), VIRTUAL * LANES), np.nan)
         self._record = np.zeros((rows if self._keep_record else 0, _RECORD))
+        self._fresh = True
+
+    def begin_again(self, mask: NDArray[np.bool_]) -> None:
+        rows = np.flatnonzero(np.repeat(mask, self.config.followers))
+        self._memory[rows // LANES, rows % LANES] = np.nan
         self._fresh = True
 
     def decide(self, rows: Rows) -> Rows:

@@ -104,13 +104,23 @@ def _remember(x: Any, lane: Any, on: bool, f: Virtual) -> None:
 # -- loops over the lanes of a tile ---------------------------------------------------------------
 
 
+@device
+def waiting(x: Any) -> bool:
+    """Does a virtual follower of the tile wait for its start? Its first number is NaN then."""
+    any_waits = False
+    for lane in range(LANES):
+        any_waits = any_waits or x[lane] != x[lane]
+    return any_waits
+
+
 @loop
 def start(rows: Any, x: Any) -> None:
-    """Virtual followers with null errors (II-E). Once an episode, so the arc tangent may be called."""
+    """Put those that wait for it where their errors are null (II-E). Once an episode, so the arc
+    tangent may be called."""
     for lane in range(_LANES):
         s = seen(rows, lane)
         f = place(s.leader.p, s.leader.v, s.offset, s.heading, s.started)
-        _remember(x, lane, True, f)
+        _remember(x, lane, x[lane] != x[lane], f)
 
 
 @device
@@ -261,9 +271,10 @@ def decide(
     space: Floats,
     actions: Rows,
 ) -> None:
-    """One decision for every row `(N, entries)`; `fresh` is the first of an episode.
+    """One decision for every row `(N, entries)`; `fresh` if it may be the first of an episode.
 
-    `memory` `(tiles, 9 L)` are the virtual followers, `space` of `ROOM` numbers is overwritten.
+    `memory` `(tiles, 9 L)` are the virtual followers, first number NaN where an episode begins; `space`
+    of `ROOM` numbers is overwritten.
     """
     s, room = unpack(settings), open_room(space)
     law = planner_law(gains)
@@ -272,7 +283,7 @@ def decide(
     for t in range(len(memory)):
         x = carve(memory, t * VIRTUAL * LANES, (VIRTUAL * LANES,))
         take(rows, t, entries, room)
-        if fresh:
+        if fresh and waiting(x):
             start(room.rows, x)
         plan_tile(room, x, h, law, derived)
         if level == REFERENCE:

@@ -8,21 +8,51 @@ import numpy as np
 
 from baselines.cells import figure, scored, signed
 from baselines.intervals import Estimate
-from baselines.scoring import Report, Scenario, above_expert
+from baselines.scoring import Report, Scenario, Source, above_expert
 from formation_env import FormationConfig
 from formation_env.quadrotor import RATES
 
 
 def explanations(report: Report) -> list[str]:
-    """One paragraph for each case in which a policy scores above the expert, from the figures, and for
-    each scenario on which the score has no sense."""
-    explained = [
-        _explain(name, policy, scenario)
-        for name, scenario in report.scenarios.items()
-        if "expert" in scenario.results
-        for policy in above_expert(scenario.results)
+    """One paragraph for each case in which a policy scores above the expert, from the figures, for
+    each scenario on which the score has no sense, and for each policy from a file: what it was trained
+    on, and where it cannot fly."""
+    explained = []
+    for name, scenario in report.scenarios.items():
+        better = above_expert(scenario.results) if "expert" in scenario.results else []
+        explained += [_explain(name, policy, scenario) for policy in better]
+        if better:
+            explained[-1] += " " + " ".join(_background(scenario))
+    return [*explained, *_meaningless(report), *_origins(report), *_absences(report)]
+
+
+def _origins(report: Report) -> list[str]:
+    """Which file each policy that is one flew, and what that file was trained on."""
+    flights: dict[tuple[str, Source], list[str]] = {}
+    for name, scenario in report.scenarios.items():
+        for policy, source in scenario.sources.items():
+            flights.setdefault((policy, source), []).append(name)
+    return [
+        f"`{policy}` flew {_listed(names)} from the file `{source.file}` (method {source.method}, "
+        f"trained on `{source.scenario}`)."
+        for (policy, source), names in flights.items()
     ]
-    return [*explained, *_meaningless(report)]
+
+
+def _absences(report: Report) -> list[str]:
+    """Where a policy could not fly, and why."""
+    absent: dict[tuple[str, str], list[str]] = {}
+    for name, scenario in report.scenarios.items():
+        for policy, reason in scenario.absent.items():
+            absent.setdefault((policy, reason), []).append(name)
+    return [
+        f"`{policy}` does not fly on {_listed(names)}. {reason}."
+        for (policy, reason), names in absent.items()
+    ]
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names)
 
 
 def _meaningless(report: Report) -> list[str]:
@@ -44,7 +74,7 @@ def _explain(name: str, policy: str, scenario: Scenario) -> str:
         a, b = result.summary[key].value, best.summary[key].value
         if isfinite(a) and isfinite(b) and abs(a - b) > 0.02 * max(abs(a), abs(b)):
             text.append(f"{label}: {figure(key, a)} against the expert's {figure(key, b)}.")
-    return " ".join([*text, *_reasons(result.summary, best.summary, scenario)])
+    return " ".join([*text, *_reasons(result.summary, best.summary)])
 
 
 _COMPARED = {
@@ -56,7 +86,7 @@ _COMPARED = {
 }
 
 
-def _reasons(own: dict[str, Estimate], best: dict[str, Estimate], scenario: Scenario) -> list[str]:
+def _reasons(own: dict[str, Estimate], best: dict[str, Estimate]) -> list[str]:
     """What the measured differences come from."""
     text = []
     if own["trigger_time"].value < 0.95 * best["trigger_time"].value:
@@ -66,6 +96,12 @@ def _reasons(own: dict[str, Estimate], best: dict[str, Estimate], scenario: Scen
         )
     if own["reward_since_trigger"].value < best["reward_since_trigger"].value:
         text.append("Once the formation flies, the expert earns more: the climb alone is slower.")
+    return text
+
+
+def _background(scenario: Scenario) -> list[str]:
+    """What limits the expert on this scenario, whoever flies beside it."""
+    text, best = [], scenario.results["expert"].summary
     if scenario.measuring is not None:
         now, then = best["slot_error_rms"].value, scenario.measuring["slot_error_rms"].value
         late = 0.5 * scenario.config.window * _sample_period(scenario.config)

@@ -21,7 +21,8 @@ Rows = NDArray[np.float32]
 class Policy(ABC):
     """A policy for one configuration.
 
-    Subclasses implement `begin` and `decide` on rows `(worlds, followers, entries)`. They are final.
+    Subclasses implement `begin` and `decide` on rows `(worlds, followers, entries)`, and those that
+    remember also `begin_again`. They are final.
     """
 
     name: str
@@ -40,6 +41,21 @@ class Policy(ABC):
         self._worlds = worlds
         first = 0 if seed is None else seed
         self.begin(np.arange(first, first + worlds, dtype=np.uint64))
+
+    def restart(self, mask: NDArray[np.bool_]) -> None:
+        """Episodes begin in the worlds of `mask`, shape `(worlds,)`; in the others they go on.
+
+        For worlds that are reset one by one: call it with the next observations still to come. Raises
+        `ValueError` for any other shape or type.
+        """
+        mask = np.asarray(mask)
+        if mask.shape != (self._worlds,) or mask.dtype != np.bool_:
+            raise ValueError(
+                f"mask is {mask.dtype} {mask.shape}: expected bool ({max(self._worlds, 0)},), an entry "
+                "for each world of the last reset"
+            )
+        if mask.any():
+            self.begin_again(mask)
 
     def act(self, observation: NDArray[Any]) -> Rows:
         """Actions for observations of shape `(entries,)`, `(followers, entries)`, `(worlds,
@@ -68,6 +84,9 @@ class Policy(ABC):
     @abstractmethod
     def begin(self, seeds: NDArray[np.uint64]) -> None:
         """Start episodes, one world per seed."""
+
+    def begin_again(self, mask: NDArray[np.bool_]) -> None:  # noqa: B027
+        """Start new episodes in the worlds of `mask`. Nothing to do for who remembers nothing."""
 
     @abstractmethod
     def decide(self, rows: Rows) -> Rows:

@@ -12,7 +12,9 @@ The JSON document, `results.json` (no NaN: a figure that no episode has is null)
              "score": estimate, "metrics": {name: estimate},
              "difference_to_expert": {"return": estimate, "slot_error_rms": estimate},
              "failures": {kind: episodes}}},
-         "expert_measuring": null or {name: estimate}}}}
+         "expert_measuring": null or {name: estimate},
+         "files": {policy: {"file": name, "method": word, "scenario": trained on}},
+         "absent": {policy: why it does not fly here}}}}
 
 with `estimate = {"value", "low", "high", "episodes"}`: the mean over so many episodes (of `settling_time`
 the median) and its 95 % interval. `difference_to_expert` is the mean of policy minus expert on equal seeds.
@@ -68,6 +70,8 @@ def _scenario(scenario: Scenario) -> dict[str, Any]:
         "duration": config.duration,
         "policies": {name: _result(result) for name, result in scenario.results.items()},
         "expert_measuring": _estimates(scenario.measuring) if scenario.measuring else None,
+        "files": {name: source._asdict() for name, source in scenario.sources.items()},
+        "absent": scenario.absent,
     }
 
 
@@ -145,8 +149,8 @@ def _grid(report: Report, cell: Callable[[Estimate], str]) -> str:
         ["---", *("---:" for _ in report.scenarios)],
     ]
     for policy in policies:
-        results = [s.results[policy] for s in report.scenarios.values()]
-        rows.append([f"`{policy}`", *(cell(r.score) for r in results)])
+        results = [s.results.get(policy) for s in report.scenarios.values()]
+        rows.append([f"`{policy}`", *(cell(r.score) if r else "-" for r in results)])
     return _markdown(rows)
 
 

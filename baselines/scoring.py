@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, NamedTuple, final
@@ -12,8 +12,9 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from baselines.intervals import Estimate, difference, estimate, normalised, summarise
+from baselines.learned import Misfit
 from baselines.metrics import KINDS
-from baselines.registry import make_policy
+from baselines.registry import Recipe, make_policy, recipe
 from baselines.rollout import Episodes, chunks, fly
 from formation_env import FeasibilityWarning, FormationConfig
 
@@ -33,6 +34,14 @@ class Result(NamedTuple):
     failures: dict[str, int]
 
 
+class Source(NamedTuple):
+    """The file that a policy was flown from."""
+
+    file: str  # name without the folder
+    method: str
+    scenario: str  # trained on
+
+
 class Scenario(NamedTuple):
     """All policies on one scenario."""
 
@@ -40,6 +49,8 @@ class Scenario(NamedTuple):
     results: dict[str, Result]
     span: float  # the expert's mean return minus hover's, the unit of the score
     measuring: dict[str, Estimate] | None  # the expert's, with velocity and acceleration measured
+    sources: dict[str, Source]  # of those policies that are files
+    absent: dict[str, str]  # policies that cannot fly here, and why
 
 
 class Report(NamedTuple):
@@ -67,6 +78,31 @@ def above_expert(results: dict[str, Result]) -> list[str]:
     return [p for p, r in results.items() if r.differences["return"].value > 0.0]
 
 
+class Crew(NamedTuple):
+    """Who flies one scenario."""
+
+    recipes: dict[str, Recipe]
+    absent: dict[str, str]  # who cannot, and why
+
+
+def enlist(configs: Mapping[str, FormationConfig], policies: Sequence[str]) -> dict[str, Crew]:
+    """How to make each policy on each configuration that it fits.
+
+    Raises `ValueError` for an unknown policy, a bad file, and a policy that fits no configuration.
+    """
+    crews = {name: Crew({}, {}) for name in configs}
+    for policy in policies:
+        for name, config in configs.items():
+            try:
+                crews[name].recipes[policy] = recipe(policy, config)
+            except Misfit as problem:
+                crews[name].absent[policy] = str(problem)
+        if not any(policy in crew.recipes for crew in crews.values()):
+            reasons = dict.fromkeys(crew.absent[policy] for crew in crews.values())
+            raise ValueError("; ".join(reasons))
+    return crews
+
+
 def evaluate(
     configs: dict[str, FormationConfig],
     policies: Sequence[str],
@@ -77,20 +113,29 @@ def evaluate(
 ) -> Report:
     """Score `policies` on named configurations, seeds `seed` to `seed + episodes - 1` for each.
 
-    Raises `ValueError` for an unknown policy.
+    A policy flies where it fits. Raises `ValueError` as `enlist` does.
     """
-    flown = list(dict.fromkeys((*policies, *ANCHORS)))
-    columns = _fly_all(configs, flown, episodes, seed, threads, quiet)
+    crews = enlist(configs, list(dict.fromkeys((*policies, *ANCHORS))))
+    columns = _fly_all(configs, crews, episodes, seed, threads, quiet)
     scenarios = {}
     for name, config in configs.items():
-        each = columns[name]
-        results = {p: judge(each[p], each["hover"], each["expert"]) for p in policies}
+        each, crew = columns[name], crews[name]
+        flown = [p for p in policies if p in crew.recipes]
+        results = {p: judge(each[p], each["hover"], each["expert"]) for p in flown}
         measuring = None
         if config.estimator == "differenced" and above_expert(results):
             measuring = _measuring(config, episodes, seed)
         span = float(each["expert"]["return"].mean() - each["hover"]["return"].mean())
-        scenarios[name] = Scenario(config, results, span, measuring)
+        scenarios[name] = Scenario(config, results, span, measuring, _sources(crew), crew.absent)
     return Report(seed, episodes, scenarios)
+
+
+def _sources(crew: Crew) -> dict[str, Source]:
+    return {
+        policy: Source(made.file, made.card.method, made.card.scenario)
+        for policy, made in crew.recipes.items()
+        if made.card is not None
+    }
 
 
 def _measuring(config: FormationConfig, episodes: int, seed: int) -> dict[str, Estimate]:
@@ -104,7 +149,7 @@ def _measuring(config: FormationConfig, episodes: int, seed: int) -> dict[str, E
 
 def _fly_all(
     configs: dict[str, FormationConfig],
-    policies: Sequence[str],
+    crews: dict[str, Crew],
     episodes: int,
     seed: int,
     threads: int,
@@ -114,11 +159,11 @@ def _fly_all(
     jobs = [
         (name, policy, seeds)
         for name, config in configs.items()
-        for policy in policies
+        for policy in crews[name].recipes
         for seeds in chunks(seed, episodes, config.followers)
     ]
     ticks = sum(configs[name].max_steps * len(seeds) for name, _, seeds in jobs)
-    pilots = [make_policy(policy, configs[name]) for name, policy, _ in jobs]
+    pilots = [crews[name].recipes[policy].make(configs[name]) for name, policy, _ in jobs]
     bar = _Bar(ticks, quiet)
     with ThreadPoolExecutor(threads, thread_name_prefix="evaluate") as pool:
         try:

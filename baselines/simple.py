@@ -41,7 +41,10 @@ def _draw(seeds: NDArray[np.uint64], tick: int, actions: Rows) -> None:
 
 @final
 class Random(Policy):
-    """Uniform in [-1, 1], anew every tick. A draw depends on the world's seed, follower and tick only."""
+    """Uniform in [-1, 1], anew every tick. A draw depends on the world's seed, follower and tick only.
+
+    The tick is counted from `reset`: a world that is restarted goes on drawing.
+    """
 
     name = "random"
 

@@ -183,5 +183,8 @@ class ExpertTuned(Policy):
     def begin(self, seeds: NDArray[np.uint64]) -> None:
         self._expert.begin(seeds)
 
+    def begin_again(self, mask: NDArray[np.bool_]) -> None:
+        self._expert.begin_again(mask)
+
     def decide(self, rows: Rows) -> Rows:
         return self._expert.decide(rows)

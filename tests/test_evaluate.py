@@ -197,12 +197,30 @@ def test_command_writes_results(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "nominal" in capsys.readouterr().out
 
 
+def test_scenarios_at_other_levels(tmp_path: Path) -> None:
+    """A level after the name counts for that entry, `--action` for those without one."""
+    arguments = ["--scenarios", "nominal,nominal:rates,nominal:reference", "--policies", "expert"]
+    arguments += ["--episodes", "1", "--duration", "0.1", "--output", str(tmp_path)]
+    for action, own in (([], "wrench"), (["--action", "rates"], "rates")):
+        assert command.main([*arguments, *action]) == 0
+        document = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))
+        levels = {name: each["action"] for name, each in document["scenarios"].items()}
+        assert levels == {
+            "nominal": own,
+            "nominal:rates": "rates",
+            "nominal:reference": "reference",
+        }
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--policies", "expert,ppo"], "'ppo': expected some of expert, pd, hover, random"),
+        (["--policies", "expert,best"], "'best': expected some of expert, pd, hover, random"),
+        (["--policies", "mine.safetensors"], "mine.safetensors: cannot be read: No such file"),
         (["--policies", ""], "'': expected some of"),
         (["--scenarios", "windy"], "'windy': expected some of nominal, paper"),
+        (["--scenarios", "nominal:fast"], "'nominal:fast': expected after the colon one of wrench"),
+        (["--scenarios", "nominal:"], "'nominal:': expected after the colon"),
         (["--episodes", "0"], "'0': expected a whole number from 1 to"),
         (["--episodes", "1.5"], "'1.5': expected a whole number from 1 to"),
         (["--seed", "-1"], "'-1': expected a whole number from 0 to"),

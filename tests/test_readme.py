@@ -27,8 +27,9 @@ def test_there_are_programs() -> None:
 
 
 @pytest.mark.parametrize("program", PROGRAMS, ids=lambda text: text.splitlines()[-1][:40])
-def test_program_runs(program: str) -> None:
+def test_program_runs(program: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each stands alone, and warns of nothing (pytest turns warnings into errors)."""
+    monkeypatch.chdir(tmp_path)  # one writes a file
     exec(compile(program, "<README>", "exec"), {"__name__": "__main__"})
 
 

@@ -20,7 +20,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, final
 
@@ -63,7 +63,7 @@ class Options:
     """Third and fourth derivatives of the reference: zero, derived, or both tried."""
     episodes: int = 64
     """Training seeds, the same for every candidate."""
-    evaluations: int = 3000
+    evaluations: int = 4000
     """Candidates flown in all, shared between what is tried of feedforward."""
     validation: int = 256
     """Validation seeds."""
@@ -342,9 +342,19 @@ def take_up(path: Path, scenario: str, action: str, entry: dict[str, Any]) -> No
 # -- command line ---------------------------------------------------------------------------------
 
 
-def tune(options: Options, command: str) -> Verdict:
+def command_of(options: Options) -> str:
+    """The command that repeats the result: without what does not change it."""
+    words = ["python", "-m", PROGRAM]
+    for each in fields(options):
+        value, usual = getattr(options, each.name), getattr(Options(), each.name)
+        if value != usual and each.name not in ("resume", "threads", "quiet", "output"):
+            words += [f"--{each.name}", str(value)]
+    return shlex.join(words)
+
+
+def tune(options: Options) -> Verdict:
     """The whole search. Raises `ValueError` for wrong options, before anything is written."""
-    config = options.check()
+    config, command = options.check(), command_of(options)
     path = options.output / f"{config.scenario}-{config.action}.json"
     journal = Journal(path, options, config, command)
     known = journal.known() if options.resume else {}
@@ -427,9 +437,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _refuse(f'{problem.name} is missing: pip install "formation-env[train]"')
     words = list(sys.argv[1:] if arguments is None else arguments)
     options = tyro.cli(Options, args=words, prog=PROGRAM, description=__doc__)
-    command = shlex.join(["python", "-m", PROGRAM, *(w for w in words if w != "--resume")])
     try:
-        verdict = tune(options, command)
+        verdict = tune(options)
     except ValueError as problem:
         _refuse(problem)
     except OSError as problem:

@@ -1,0 +1,117 @@
+"""A policy that was learned, run from its file by NumPy.
+
+Its network sees one follower's row at a time, so one file serves any number of followers and worlds,
+and a row's action depends on no other row, to the last bit (see `forward`).
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.expert import Expert
+from baselines.files import Card, Network, check, load
+from baselines.forward import LANES, gathered, layer, padded, spread
+from baselines.policy import Policy, Rows
+from formation_env import FormationConfig
+
+_ROWS = 1024  # at a time, so that what lies between the layers stays in the cache
+
+Source = tuple[Card, Network]
+
+
+class Misfit(ValueError):
+    """A policy that is not for this configuration."""
+
+
+@final
+class Learned(Policy):
+    """The policy of a file, or of a card and its network, in its deterministic mode.
+
+    Raises `ValueError` for a bad file, `Misfit` where observation or action are not the
+    configuration's.
+    """
+
+    name = "learned"
+
+    def __init__(self, config: FormationConfig, source: str | os.PathLike[str] | Source) -> None:
+        super().__init__(config)
+        if isinstance(source, tuple):
+            check(*source)
+            self.card, network = source
+        else:
+            self.card, network = load(source)
+        _require_fit(self.card, config)
+        self._layers = [
+            (padded(W), padded(b)) for W, b in zip(network.weights, network.biases, strict=True)
+        ]
+        self._mean, self._scale = network.mean, network.scale
+        self._expert = Expert(config) if self.card.residual > 0.0 else None
+        # What each row saw last, normalised, newest last: (rows, history, entries).
+        self._seen = np.zeros((0, self.card.history, self.card.entries), dtype=np.float32)
+        self._fresh = np.zeros(0, dtype=np.bool_)  # (rows,), those whose episode begins
+
+    def begin(self, seeds: NDArray[np.uint64]) -> None:
+        rows = len(seeds) * self.config.followers
+        self._seen = np.zeros((rows, self.card.history, self.card.entries), dtype=np.float32)
+        self._fresh = np.ones(rows, dtype=np.bool_)
+        if self._expert is not None:
+            self._expert.reset(worlds=len(seeds))
+
+    def begin_again(self, mask: NDArray[np.bool_]) -> None:
+        self._fresh |= np.repeat(mask, self.config.followers)
+        if self._expert is not None:
+            self._expert.restart(mask)
+
+    def decide(self, rows: Rows) -> Rows:
+        worlds, n, size = rows.shape
+        flat = rows.reshape(worlds * n, size)
+        output = np.empty((worlds * n, self.config.action_size), dtype=np.float32)
+        for start in range(0, len(flat), _ROWS):
+            part = slice(start, start + _ROWS)
+            output[part] = self._forward(self._look(flat[part], part))
+        self._fresh[:] = False
+        actions = np.clip(output, -1.0, 1.0).reshape(worlds, n, -1)
+        if self._expert is None:
+            return actions
+        below = self._expert.act(rows)
+        together = below + np.float32(self.card.residual) * actions
+        return np.asarray(np.clip(together, -1.0, 1.0), dtype=np.float32)
+
+    def _look(self, rows: Rows, part: slice) -> Rows:
+        """What the network sees, `(rows, history * entries)`, after these observations."""
+        bound = np.float32(self.card.clip)
+        with np.errstate(over="ignore"):  # of a tiny scale: infinity is clipped
+            now: Rows = np.clip((rows - self._mean) / self._scale, -bound, bound)
+        if self.card.history == 1:
+            return now
+        seen, fresh = self._seen[part], self._fresh[part]
+        seen[:, :-1] = seen[:, 1:]
+        seen[:, -1] = now
+        seen[fresh] = now[fresh, None]
+        return seen.reshape(len(rows), -1)
+
+    def _forward(self, inputs: Rows) -> Rows:
+        """The network's output for any number of rows."""
+        x = spread(inputs)
+        for i, (weight, bias) in enumerate(self._layers):
+            y = np.empty((len(x), len(bias), LANES), dtype=np.float32)
+            layer(weight, bias, x, y)
+            if i + 1 < len(self._layers):
+                y = np.tanh(y) if self.card.activation == "tanh" else np.maximum(y, np.float32(0.0))
+            x = y
+        return gathered(x, len(inputs), self.card.action_size)
+
+
+def _require_fit(card: Card, config: FormationConfig) -> None:
+    """`load` has seen to the layout's version."""
+    found: dict[str, tuple[Any, Any]] = {
+        "action level": (card.action, config.action),
+        "observation entries": (card.entries, config.layout.size),
+    }
+    for what, (own, wanted) in found.items():
+        if own != wanted:
+            raise Misfit(f"policy for {what} {own!r}: the configuration has {wanted!r}")

@@ -1,0 +1,663 @@
+"""Policies as files: what is written is what flies, whatever is amiss is refused, nothing is executed."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import struct
+from contextlib import suppress
+from dataclasses import asdict, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from safetensors.numpy import save as serialise
+
+from baselines import evaluate as command
+from baselines import files, make_policy, registry
+from baselines.expert import Expert
+from baselines.files import Card, Network, load, save
+from baselines.learned import Learned, Misfit
+from baselines.policy import Policy
+from baselines.scoring import enlist, evaluate
+from formation_env import FormationConfig, configure
+
+NOMINAL = configure("nominal")
+ENTRIES = NOMINAL.layout.size
+
+
+def card(config: FormationConfig = NOMINAL, **changed: Any) -> Card:
+    usual: dict[str, Any] = {
+        "action": config.action,
+        "entries": config.layout.size,
+        "action_size": config.action_size,
+        "scenario": "nominal",
+        "method": "ppo",
+        "command": "python -m train.ppo --seed 3",
+        "seed": 3,
+        "steps": 1_000_000,
+        "minutes": 12.5,
+        "package": "0.1.0",
+        "score": {"nominal": [0.9, 0.88, 0.92]},
+    }
+    return Card(**{**usual, **changed})
+
+
+def network(own: Card, hidden: tuple[int, ...] = (37, 51), seed: int = 0) -> Network:
+    """Numbers drawn at random, so that outputs lie on both sides of the clipping."""
+    rng = np.random.default_rng(seed)
+    sizes = [own.history * own.entries, *hidden, own.action_size]
+
+    def draw(*shape: int) -> NDArray[np.float32]:
+        return np.asarray(rng.normal(size=shape) / np.sqrt(shape[-1]), dtype=np.float32)
+
+    return Network(
+        tuple(draw(b, a) for a, b in pairwise(sizes)),
+        tuple(draw(b) for b in sizes[1:]),
+        draw(own.entries),
+        rng.uniform(0.3, 2.0, own.entries).astype(np.float32),
+    )
+
+
+def looks(*shape: int, seed: int = 1) -> NDArray[np.float32]:
+    """Observations `(*shape, followers, entries)`."""
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(*shape, 2, ENTRIES)).astype(np.float32)
+
+
+def tensors(own: Network) -> dict[str, NDArray[np.float32]]:
+    named = {"mean": own.mean, "scale": own.scale}
+    for i, (weight, bias) in enumerate(zip(own.weights, own.biases, strict=True)):
+        named |= {f"layers.{i}.weight": weight, f"layers.{i}.bias": bias}
+    return named
+
+
+def written(
+    path: Path, named: dict[str, Any] | None = None, text: str | None = None, key: str = "formation"
+) -> Path:
+    """A file made without `save`, from tensors and the text of a card."""
+    named = tensors(network(card())) if named is None else named
+    text = json.dumps(asdict(card())) if text is None else text
+    path.write_bytes(serialise(named, {key: text}))
+    return path
+
+
+# -- there and back -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("hidden", [(), (5,), (64, 64, 8)])
+def test_round_trip(tmp_path: Path, hidden: tuple[int, ...]) -> None:
+    path = tmp_path / "policy.safetensors"
+    own = card(history=3, activation="relu", residual=0.25, clip=5, minutes=7)
+    numbers = network(own, hidden)
+    save(path, own, numbers)
+    back, read = load(path)
+    assert back == own
+    for a, b in zip(tensors(numbers).values(), tensors(read).values(), strict=True):
+        assert a.dtype == b.dtype == np.float32 and np.array_equal(a, b)
+    assert list(tmp_path.iterdir()) == [path]
+    first = path.read_bytes()
+    save(path, own, numbers)
+    assert path.read_bytes() == first
+
+
+def test_tensors_that_lie_otherwise_in_memory(tmp_path: Path) -> None:
+    """Transposed views, as exporters make them, are written as what they say."""
+    own, path = card(), tmp_path / "policy.safetensors"
+    numbers = network(own)
+    turned = numbers._replace(weights=tuple(np.asfortranarray(W) for W in numbers.weights))
+    save(path, own, turned)
+    assert all(
+        np.array_equal(a, b) for a, b in zip(load(path)[1].weights, numbers.weights, strict=True)
+    )
+
+
+# -- files that are refused -----------------------------------------------------------------------
+
+
+class Trap:
+    """Pickled, it leaves a file behind when it is loaded."""
+
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (str(self.mark),)
+
+
+def test_nothing_in_a_file_is_executed(tmp_path: Path) -> None:
+    mark, path = tmp_path / "executed", tmp_path / "policy.safetensors"
+    trap = pickle.dumps(Trap(mark))
+    for data in (trap, struct.pack("<Q", len(trap)) + trap):
+        path.write_bytes(data)
+        with pytest.raises(ValueError, match="not a whole safetensors file"):
+            load(path)
+    written(path, text=trap.decode("latin-1"))
+    with pytest.raises(ValueError, match="not JSON"):
+        load(path)
+    written(path, text="__import__('os').mkdir('executed')")
+    with pytest.raises(ValueError, match="not JSON"):
+        load(path)
+    assert not mark.exists()
+    pickle.loads(trap)
+    assert mark.exists(), "the trap would have worked"
+
+
+def test_truncated_at_every_length(tmp_path: Path) -> None:
+    path = tmp_path / "policy.safetensors"
+    save(path, card(), network(card(), (2,)))
+    data = path.read_bytes()
+    cut = tmp_path / "cut.safetensors"
+    for length in range(len(data)):
+        cut.write_bytes(data[:length])
+        with pytest.raises(ValueError, match=r"cut\.safetensors: not a whole safetensors file"):
+            load(cut)
+    cut.write_bytes(data + b"\0")
+    with pytest.raises(ValueError, match="not a whole safetensors file"):
+        load(cut)
+
+
+def test_any_flipped_byte_of_the_header_is_harmless(tmp_path: Path) -> None:
+    """It is refused or read as something whole; no other exception."""
+    path = tmp_path / "policy.safetensors"
+    save(path, card(), network(card(), (2,)))
+    data = bytearray(path.read_bytes())
+    header = 8 + struct.unpack("<Q", data[:8])[0]
+    for at in range(header):
+        broken = bytearray(data)
+        broken[at] ^= 0x11
+        path.write_bytes(broken)
+        with suppress(ValueError):
+            files.check(*load(path))
+
+
+def test_files_that_are_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "policy.safetensors"
+    with pytest.raises(ValueError, match=r"policy\.safetensors: cannot be read: No such file"):
+        load(path)
+    with pytest.raises(ValueError, match="cannot be read"):
+        load(tmp_path)
+    for text in ("", "hello", "PK\x03\x04", '{"version": 1}' * 100):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(ValueError, match="not a whole safetensors file"):
+            load(path)
+    save(path, card(), network(card()))
+    monkeypatch.setattr(files, "LARGEST", 1000)
+    with pytest.raises(ValueError, match="more than 1000 bytes"):
+        load(path)
+    with pytest.raises(ValueError, match="expected at most 1000"):
+        save(tmp_path / "other.safetensors", card(), network(card()))
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("version", 2, "version = 2: expected 1"),
+        ("layout", 7, "layout = 7: expected 1"),
+        ("action", "thrust", "action = 'thrust': expected one of wrench, rates, reference"),
+        ("action", ["wrench"], "action = "),
+        ("action", "reference", "action_size = 4: expected 3 at reference"),
+        ("activation", "gelu", "activation = 'gelu': expected one of tanh, relu"),
+        ("entries", 0, "entries = 0"),
+        ("entries", 47, "tensor mean"),
+        ("entries", 48.0, "entries = 48.0: expected a whole number"),
+        ("history", 0, "history = 0"),
+        ("history", True, "history = True"),
+        ("history", 2, "tensor layers.0.weight"),
+        ("residual", -0.1, "residual = -0.1"),
+        ("residual", "big", "residual = 'big': expected a number"),
+        ("clip", 0, "clip = 0"),
+        ("seed", -1, "seed = -1"),
+        ("steps", None, "steps = None"),
+        ("minutes", [], "minutes = "),
+        ("scenario", "a|b", "scenario = 'a|b': expected a word"),
+        ("method", "", "method = ''"),
+        ("command", 5, "command = 5: expected a text"),
+        ("command", "\ud800", "command = "),
+        ("package", "x" * 20_000, "package = "),
+        ("score", [1], "score = "),
+        ("score", {"nominal": [1.0]}, "expected mean, low and high"),
+        ("score", {"nominal": [1.0, 0.9, "x"]}, "'x': expected a number"),
+    ],
+)
+def test_card_with_a_wrong_field(tmp_path: Path, field: str, value: Any, message: str) -> None:
+    text = json.dumps({**asdict(card()), field: value})
+    path = written(tmp_path / "policy.safetensors", text=text)
+    with pytest.raises(ValueError, match=r"policy\.safetensors") as refusal:
+        load(path)
+    assert message in str(refusal.value)
+    assert "\n" not in str(refusal.value) and len(str(refusal.value)) < 400
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("not json", "not JSON"),
+        ("[" * 100_000, "not JSON"),
+        ("[1, 2]", "expected a JSON object"),
+        ("{}", "version = None: expected 1"),
+        (json.dumps(asdict(card())).replace("12.5", "NaN"), "not JSON"),
+        (json.dumps(asdict(card())).replace("12.5", "1e999"), "minutes = inf"),
+        (json.dumps({**asdict(card()), "extra": 1}), "['extra'] missing or unknown"),
+        (json.dumps({"version": 1, "layout": 1}), "missing or unknown"),
+    ],
+    ids=range(8),
+)
+def test_metadata_that_is_no_card(tmp_path: Path, text: str, message: str) -> None:
+    path = written(tmp_path / "policy.safetensors", text=text)
+    with pytest.raises(ValueError, match=r"policy\.safetensors") as refusal:
+        load(path)
+    assert message in str(refusal.value)
+
+
+def test_file_without_a_card(tmp_path: Path) -> None:
+    for key in ("other", "Formation"):
+        path = written(tmp_path / "policy.safetensors", key=key)
+        with pytest.raises(ValueError, match="expected a JSON object in the metadata"):
+            load(path)
+    path.write_bytes(serialise(tensors(network(card()))))
+    with pytest.raises(ValueError, match="expected a JSON object in the metadata"):
+        load(path)
+
+
+def _numbers() -> dict[str, Any]:
+    return {name: x.copy() for name, x in tensors(network(card())).items()}
+
+
+def _without(name: str) -> dict[str, Any]:
+    return {k: x for k, x in _numbers().items() if k != name}
+
+
+def _with(name: str, x: Any) -> dict[str, Any]:
+    return {**_numbers(), name: x}
+
+
+def _spoilt(name: str, value: float) -> dict[str, Any]:
+    named = _numbers()
+    named[name].flat[-1] = value
+    return named
+
+
+@pytest.mark.parametrize(
+    ("named", "message"),
+    [
+        (_spoilt("layers.1.weight", np.nan), "tensor layers.1.weight: NaN or infinity"),
+        (_spoilt("layers.2.bias", np.inf), "tensor layers.2.bias: NaN or infinity"),
+        (_spoilt("mean", -np.inf), "tensor mean: NaN"),
+        (_spoilt("scale", 0.0), "tensor scale: expected numbers above 0"),
+        (_spoilt("scale", -1.0), "tensor scale: expected numbers above 0"),
+        (_spoilt("layers.1.weight", 3e38), "tensor layers.1.weight: so large"),
+        (_without("mean"), "['mean'] missing or unknown"),
+        (_without("layers.0.weight"), "missing or unknown"),
+        (_without("layers.1.bias"), "['layers.1.bias'] missing or unknown"),
+        (_with("log_std", np.zeros(4, np.float32)), "['log_std'] missing or unknown"),
+        (_with("layers.7.weight", np.zeros((4, 4), np.float32)), "missing or unknown"),
+        (_with("mean", np.zeros(ENTRIES + 1, np.float32)), "expected float32 (48,)"),
+        (_with("scale", np.ones((ENTRIES, 1), np.float32)), "tensor scale: float32 (48, 1)"),
+        (_with("layers.1.weight", np.zeros((51, 36), np.float32)), "expected float32 (51, 37)"),
+        (_with("layers.2.bias", np.zeros(5, np.float32)), "expected float32 (4,)"),
+        (_with("mean", np.zeros(ENTRIES)), "tensor 'mean': type F64, expected F32"),
+        (_with("mean", np.zeros(ENTRIES, np.float16)), "type F16, expected F32"),
+        (_with("layers.0.bias", np.zeros(0, np.float32)), "tensor layers.0"),
+        ({"mean": _numbers()["mean"]}, "0 layers: expected 1 to 32"),
+    ],
+    ids=range(19),
+)
+def test_wrong_tensors(tmp_path: Path, named: dict[str, Any], message: str) -> None:
+    path = written(tmp_path / "policy.safetensors", named)
+    with pytest.raises(ValueError, match=r"policy\.safetensors") as refusal:
+        load(path)
+    assert message in str(refusal.value)
+
+
+def test_save_refuses_what_load_would(tmp_path: Path) -> None:
+    path, own = tmp_path / "policy.safetensors", card()
+    good = network(own)
+    spoilt = good._replace(mean=np.full(ENTRIES, np.nan, np.float32))
+    double = good._replace(scale=np.ones(ENTRIES))
+    with pytest.raises(ValueError, match="tensor mean: NaN"):
+        save(path, own, spoilt)
+    with pytest.raises(ValueError, match="tensor scale: float64"):
+        save(path, own, double)
+    with pytest.raises(ValueError, match=r"layers\.0\.weight"):
+        save(path, replace(own, history=2), good)
+    with pytest.raises(ValueError, match=r"ends in \.safetensors"):
+        save(tmp_path / "policy.zip", own, good)
+    assert list(tmp_path.iterdir()) == []
+
+
+# -- a full disk ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("call", ["fsync", "replace", "fdopen", "chmod"])
+def test_a_full_disk_leaves_the_earlier_file(
+    call: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, own = tmp_path / "policy.safetensors", card()
+    save(path, own, network(own))
+    before = path.read_bytes()
+
+    def full(handle: Any, *_: object) -> None:
+        if call == "fdopen":
+            os.close(handle)
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files.os, call, full)
+        with pytest.raises(OSError, match=r"No space left on device.*policy\.safetensors"):
+            save(path, own, network(own, seed=1))
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_disk_that_fills_while_writing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half of it is written before the disk is full."""
+    path, own = tmp_path / "policy.safetensors", card()
+    save(path, own, network(own))
+    before, real = path.read_bytes(), os.fdopen
+
+    def fdopen(*arguments: Any, **options: Any) -> Any:
+        file = real(*arguments, **options, buffering=0)
+
+        class Full:
+            def __enter__(self) -> Full:
+                return self
+
+            def __exit__(self, *_: object) -> None:
+                file.close()
+
+            def write(self, data: bytes) -> None:
+                file.write(data[: len(data) // 2])
+                raise OSError(28, "No space left on device")
+
+        return Full()
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files.os, "fdopen", fdopen)
+        with pytest.raises(OSError, match="No space left on device"):
+            save(path, own, network(own, seed=1))
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match=r"cannot write the policy: No such file.*gone"):
+        save(tmp_path / "gone" / "policy.safetensors", card(), network(card()))
+
+
+# -- what flies -----------------------------------------------------------------------------------
+
+
+def plainly(own: Card, numbers: Network, observation: NDArray[Any]) -> NDArray[Any]:
+    """The network in double precision, one row `(history, entries)`."""
+    scaled = (observation.astype(float) - numbers.mean.astype(float)) / numbers.scale.astype(float)
+    x = np.clip(scaled, -own.clip, own.clip).ravel()
+    last = len(numbers.weights) - 1
+    for i, (weight, bias) in enumerate(zip(numbers.weights, numbers.biases, strict=True)):
+        x = weight.astype(float) @ x + bias.astype(float)
+        if i < last:
+            x = np.tanh(x) if own.activation == "tanh" else np.maximum(x, 0.0)
+    return np.clip(x, -1.0, 1.0)
+
+
+@pytest.mark.parametrize("activation", ["tanh", "relu"])
+@pytest.mark.parametrize("hidden", [(), (37, 51), (128, 128)])
+def test_forward_pass(activation: str, hidden: tuple[int, ...]) -> None:
+    own = card(activation=activation, clip=1.5)
+    numbers = network(own, hidden)
+    rows = looks(50)
+    actions = Learned(NOMINAL, (own, numbers)).act(rows)
+    expected = [plainly(own, numbers, row) for row in rows.reshape(-1, ENTRIES)]
+    assert actions.dtype == np.float32
+    assert actions.reshape(-1, 4) == pytest.approx(np.array(expected), abs=3e-6)
+    assert (np.abs(actions) < 1.0).any() and np.ptp(actions) > 1.0
+
+
+@pytest.mark.parametrize("hidden", [(), (37, 51), (128, 128)])
+@pytest.mark.parametrize("history", [1, 3])
+def test_a_row_is_independent_of_the_others(hidden: tuple[int, ...], history: int) -> None:
+    """Bit for bit, however many are decided together and wherever among them it stands."""
+    solo = configure("nominal", followers=1, neighbours=NOMINAL.neighbours)
+    own = card(history=history)
+    source = own, network(own, hidden)
+    rows = looks(2, 600).reshape(2, 1200, 1, ENTRIES)
+
+    def flown(which: slice) -> NDArray[np.float32]:
+        policy = Learned(solo, source)
+        return np.stack([policy.act(each[which]) for each in rows])
+
+    whole = flown(slice(0, 1200))
+    for count in (1, 7, 31, 32, 33, 64, 65, 1000, 1025):
+        for start in (0, 1, 5, 17, 70):
+            part = slice(start, start + count)
+            assert np.array_equal(flown(part), whole[:, part]), (count, start)
+    assert len(np.unique(whole)) > 1200
+
+
+def test_history_is_stacked_newest_last_and_begins_anew() -> None:
+    own = card(history=3)
+    numbers = network(own)
+    policy = Learned(NOMINAL, (own, numbers))
+    seen = looks(5, 4)  # ticks, worlds
+    mask = np.array([False, True, False, True])
+    actions = []
+    for tick, rows in enumerate(seen):
+        if tick == 3:
+            policy.restart(mask)
+        actions.append(policy.act(rows))
+    for world in range(4):
+        for tick in range(5):
+            first = 3 if tick >= 3 and mask[world] else 0
+            ticks = [max(first, t) for t in (tick - 2, tick - 1, tick)]
+            for i in range(2):
+                expected = plainly(own, numbers, seen[ticks, world, i])
+                assert actions[tick][world, i] == pytest.approx(expected, abs=3e-6)
+    policy.reset(worlds=4)
+    assert np.array_equal(policy.act(seen[0]), actions[0])
+
+
+@pytest.mark.parametrize("level", ["wrench", "rates", "reference"])
+def test_residual_policies_add_to_the_expert(level: str) -> None:
+    config = configure("paper", action=level)
+    own = card(config, residual=0.2)
+    numbers = network(own)
+    nothing = numbers._replace(
+        weights=tuple(np.zeros_like(W) for W in numbers.weights),
+        biases=tuple(np.zeros_like(b) for b in numbers.biases),
+    )
+    alone, still = Expert(config), Learned(config, (own, nothing))
+    learned, output = (
+        Learned(config, (own, numbers)),
+        Learned(config, (replace(own, residual=0), numbers)),
+    )
+    rng = np.random.default_rng(3)
+    for tick in range(6):
+        rows = rng.normal(size=(5, 2, config.layout.size)).astype(np.float32)
+        if tick == 3:
+            for policy in (alone, still, learned):
+                policy.restart(np.array([True, False, False, True, False]))
+        expert = alone.act(rows)
+        assert np.array_equal(still.act(rows), expert)
+        expected = np.clip(expert + 0.2 * output.act(rows).astype(float), -1.0, 1.0)
+        assert learned.act(rows) == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_policy_that_does_not_fit(tmp_path: Path) -> None:
+    path = tmp_path / "mine.safetensors"
+    save(path, card(), network(card()))
+    with pytest.raises(Misfit, match=r"mine.*action level 'wrench'.*has 'rates'"):
+        make_policy(str(path), configure("nominal", action="rates"))
+    with pytest.raises(Misfit, match="entries 48: the configuration has 55"):
+        make_policy(str(path), configure("nominal", neighbours=3))
+    spoilt = network(card())._replace(mean=np.full(ENTRIES, np.nan, np.float32))
+    with pytest.raises(ValueError, match="tensor mean"):
+        Learned(NOMINAL, (card(), spoilt))
+
+
+# -- restarting some worlds -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("level", ["wrench", "rates", "reference"])
+@pytest.mark.parametrize("record", [False, True])
+def test_the_expert_restarts_worlds_one_by_one(level: str, record: bool) -> None:
+    """A restarted world is one that begins; the others do not notice. Some tiles hold both."""
+    config = configure("swarm", action=level, followers=5)
+    worlds, ticks, again = 9, 7, 3
+    mask = np.arange(worlds) % 3 == 1
+    rng = np.random.default_rng(5)
+    shape = (ticks, worlds, 5, config.layout.size)
+    seen = rng.normal(size=shape).astype(np.float32)
+    mixed, going = (Expert(config, keep_record=record) for _ in range(2))
+    begun = Expert(config)
+    begun.reset(worlds=worlds)
+    mixed.reset(worlds=worlds)
+    for tick, rows in enumerate(seen):
+        if tick == again:
+            mixed.restart(mask)
+        actions, others = mixed.act(rows), going.act(rows)
+        expected = (
+            np.where(mask[:, None, None], begun.act(rows), others) if tick >= again else others
+        )
+        assert np.array_equal(actions, expected)
+    assert not np.array_equal(mixed.act(seen[0])[mask], going.act(seen[0])[mask])
+
+
+@pytest.mark.parametrize("mask", [np.ones(3, bool), np.ones((2, 1), bool), np.array([0, 1]), True])
+def test_a_mask_that_is_none(mask: Any) -> None:
+    policy = make_policy("expert", NOMINAL)
+    policy.reset(worlds=2)
+    with pytest.raises(ValueError, match=r"expected bool \(2,\)"):
+        policy.restart(mask)
+
+
+@pytest.mark.parametrize("name", ["pd", "hover", "random"])
+def test_policies_without_memory_go_on(name: str) -> None:
+    restarted, going = make_policy(name, NOMINAL), make_policy(name, NOMINAL)
+    rows = looks(3)
+    for policy in (restarted, going):
+        policy.reset(seed=4, worlds=3)
+        policy.act(rows)
+    restarted.restart(np.array([True, False, True]))
+    assert np.array_equal(restarted.act(rows), going.act(rows))
+
+
+# -- scoring --------------------------------------------------------------------------------------
+
+
+def test_a_file_is_scored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """From the command line, also where it has no place on a scenario; threads change nothing."""
+    path = tmp_path / "my policy.safetensors"
+    own = card(history=2, residual=0.05)
+    save(path, own, network(own))
+    arguments = ["--policies", f"expert,{path}", "--scenarios", "nominal,swarm,experiment"]
+    arguments += ["--episodes", "6", "--duration", "0.5"]
+    texts = []
+    for threads in (1, 2, 3):
+        out = tmp_path / str(threads)
+        assert command.main([*arguments, "--output", str(out), "--threads", str(threads)]) == 0
+        texts.append((out / "results.json").read_text(encoding="utf-8"))
+    assert texts[0] == texts[1] == texts[2]
+    document = json.loads(texts[0])["scenarios"]
+    assert document["nominal"]["policies"][str(path)]["score"]["value"] is not None
+    assert document["nominal"]["files"] == {
+        str(path): {"file": "my policy.safetensors", "method": "ppo", "scenario": "nominal"}
+    }
+    assert list(document["experiment"]["policies"]) == ["expert"]
+    assert "has 'rates'" in document["experiment"]["absent"][str(path)]
+    text = (tmp_path / "1" / "results.md").read_text(encoding="utf-8")
+    grid = next(line for line in text.splitlines() if line.startswith(f"| `{path}`"))
+    assert grid.endswith("| - |") and grid.count("-") >= 1
+    assert (
+        f"`{path}` flew `nominal`, `swarm` from the file `my policy.safetensors` (method ppo, trained on "
+        "`nominal`)." in text
+    )
+    assert "does not fly on `experiment`" in text
+    assert "trained on `nominal`" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("kind", ["broken", "misfit", "missing"])
+def test_a_file_that_cannot_fly_is_one_error(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Status 2, one line that names it, before anything is flown or written."""
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "mine.safetensors"
+    if kind == "broken":
+        path.write_bytes(b"broken")
+    if kind == "misfit":
+        config = configure("nominal", action="reference")
+        save(path, card(config), network(card(config)))
+    with pytest.raises(SystemExit) as stop:
+        command.main(["--policies", str(path), "--scenarios", "nominal,experiment"])
+    assert stop.value.code == 2
+    error = capsys.readouterr().err
+    assert "mine.safetensors" in error and error.count("\n") == 1
+    assert not (tmp_path / "results").exists()
+
+
+@pytest.fixture
+def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """`ppo` for `nominal` and for `paper`, and nothing else."""
+    folder = tmp_path / "policies"
+    folder.mkdir()
+    for i, scenario in enumerate(("nominal", "paper")):
+        own = card(scenario=scenario)
+        save(folder / f"ppo-{scenario}-wrench.safetensors", own, network(own, seed=i))
+    monkeypatch.setattr(registry, "SHIPPED", folder)
+    return folder
+
+
+def test_methods_fly_their_scenarios_file_or_that_of_nominal(shipped: Path) -> None:
+    rows = looks(3)
+    for scenario, used in (("nominal", "nominal"), ("paper", "paper"), ("agile", "nominal")):
+        config = configure(scenario)
+        made = registry.recipe("ppo", config)
+        assert made.file == f"ppo-{used}-wrench.safetensors"
+        file = make_policy(str(shipped / made.file), config)
+        assert np.array_equal(make_policy("ppo", config).act(rows), file.act(rows))
+    with pytest.raises(Misfit, match="'ppo': no file for action level 'rates' is shipped"):
+        make_policy("ppo", configure("experiment"))
+    with pytest.raises(Misfit, match="'bc': no file for action level 'wrench'"):
+        make_policy("bc", NOMINAL)
+
+
+@pytest.mark.usefixtures("shipped")
+def test_shipped_methods_are_scored_unasked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    readme = tmp_path / "README.md"
+    readme.write_text(f"{command.BEGIN}\n{command.END}\n", encoding="utf-8")
+    arguments = ["--scenarios", "paper,agile,experiment", "--episodes", "2", "--duration", "0.1"]
+    arguments += ["--output", str(tmp_path / "out"), "--leaderboard", str(tmp_path)]
+    assert command.main(arguments) == 0
+    board = (tmp_path / "LEADERBOARD.md").read_text(encoding="utf-8")
+    assert "--policies" not in board
+    assert "`ppo-nominal-wrench.safetensors` (method ppo, trained on `nominal`)" in board
+    assert "`ppo-paper-wrench.safetensors` (method ppo, trained on `paper`)" in board
+    (row,) = (line for line in readme.read_text(encoding="utf-8").splitlines() if "ppo" in line)
+    assert row.endswith(" - |")
+    assert "`bc`" not in board
+    capsys.readouterr()
+    with pytest.raises(SystemExit):
+        command.main([*arguments, "--policies", "bc"])
+    assert "'bc': no file for action level" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("shipped")
+def test_reports_of_policies_that_fly_here_and_there() -> None:
+    configs = {name: configure(name, duration=0.1) for name in ("experiment", "nominal")}
+    crews = enlist(configs, ["ppo", "hover"])
+    assert list(crews["experiment"].recipes) == ["hover"]
+    assert list(crews["experiment"].absent) == ["ppo"]
+    report = evaluate(configs, ["ppo", "hover"], episodes=2)
+    assert list(report.scenarios["experiment"].results) == ["hover"]
+    assert list(report.scenarios["nominal"].results) == ["ppo", "hover"]
+    assert len(command.report.table(report).splitlines()) == 1 + 3
+
+
+def test_policy_is_the_interface() -> None:
+    assert isinstance(Learned(NOMINAL, (card(), network(card()))), Policy)
