@@ -42,6 +42,29 @@ def test_with_the_configurations_own_gains_it_is_the_expert(level: str, feedforw
         rows = simulation.step(actions).observations
 
 
+def test_worlds_restart_one_by_one() -> None:
+    """A world that begins again is one that begins: bit for bit, and its neighbour goes on."""
+    config = configure("paper")
+    worlds = [Simulation(config, 1) for _ in range(2)]
+    rows = []
+    for i, world in enumerate(worlds):
+        world.seed(0, seeded_key(i))
+        rows.append(world.reset().observations)
+    both, first, second = (ExpertTuned(config) for _ in range(3))
+    both.reset(0, 2)
+    first.reset(0, 1)
+    second.reset(0, 1)
+    for tick in range(6):
+        if tick == 3:
+            rows[1] = worlds[1].reset().observations
+            both.restart(np.array([False, True]))
+            second.reset(0, 1)
+        actions = both.act(np.concatenate(rows))
+        assert np.array_equal(actions[:1], first.act(rows[0]))
+        assert np.array_equal(actions[1:], second.act(rows[1]))
+        rows = [w.step(actions[i : i + 1]).observations.copy() for i, w in enumerate(worlds)]
+
+
 def test_only_the_followers_own_law_changes() -> None:
     """The configuration that a rollout makes its worlds from, leader and all, keeps its gains."""
     config = configure("nominal")

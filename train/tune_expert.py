@@ -63,7 +63,7 @@ class Options:
     """Third and fourth derivatives of the reference: zero, derived, or both tried."""
     episodes: int = 64
     """Training seeds, the same for every candidate."""
-    evaluations: int = 4000
+    evaluations: int = 2000
     """Candidates flown in all, shared between what is tried of feedforward."""
     validation: int = 256
     """Validation seeds."""
