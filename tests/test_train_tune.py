@@ -16,7 +16,8 @@ from baselines.tuned import lawful, own, read
 from formation_env import SCENARIOS, configure
 from train import tune_expert
 from train.gain_space import PLANNER, REACH, GainSpace
-from train.tune_expert import Candidate, Options, Search, main, search
+from train.search import Candidate, Search, search
+from train.tune_expert import Options, main
 
 TINY = ["--episodes", "4", "--evaluations", "36", "--validation", "8", "--finalists", "3"]
 TINY += ["--threads", "2", "--quiet"]
