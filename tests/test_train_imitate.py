@@ -1,0 +1,224 @@
+"""Cloning: what the teacher is asked, what is remembered of it, and the command."""
+
+from __future__ import annotations
+
+import builtins
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")  # torch's own, at import
+    pytest.importorskip("stable_baselines3")
+    pytest.importorskip("tyro")
+    torch = pytest.importorskip("torch")
+    from train import course
+    from train.cloning import Clone, Flight, Memory
+
+from baselines import files, make_policy
+from baselines.learned import Learned
+from formation_env import configure
+from formation_env.simulation import Simulation, seeded_key
+from train.evaluation import TRAINING_SEEDS
+from train.imitate import Options, main
+
+SHORT = ["--worlds", "8", "--rounds", "2", "--ticks", "20", "--updates", "3", "--batch", "64",
+         "--episodes", "2", "--threads", "1", "--quiet"]  # fmt: skip
+
+
+def run(folder: Path, *more: str) -> int:
+    return main(["--output", str(folder), *SHORT, *more])
+
+
+def memory_of(config: Any, worlds: int, ticks: int, history: int = 1) -> Memory:
+    rows = worlds * config.followers
+    return Memory(ticks, rows, config.layout.size, config.action_size, history)
+
+
+def test_a_clone_learns_what_the_teacher_says(tmp_path: Path) -> None:
+    """Flown by itself it is far better than hover after seconds: the score's zero."""
+    words = ["--worlds", "32", "--rounds", "8", "--ticks", "100", "--updates", "100", "--quiet",
+             "--action", "reference", "--batch", "512", "--evaluate-every", "1", "--episodes", "8"]  # fmt: skip
+    assert main(["--output", str(tmp_path), *words]) == 0
+    lines = (tmp_path / "log.csv").read_text().splitlines()
+    assert lines[0] == "steps,minutes,score,low,high,return,slot_error_rms,failed,seed"
+    scores = [float(line.split(",")[2]) for line in lines[1:]]
+    assert len(scores) == 8
+    card, _ = files.load(tmp_path / "best.safetensors")
+    assert card.method == "dagger"
+    assert card.score["nominal"][0] == pytest.approx(max(scores), abs=1e-5)
+    assert max(scores) > 0.4
+
+
+def test_the_loss_falls(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    options = Options(tmp_path, worlds=16, updates=200, method="bc", threads=1, quiet=True)
+    lesson = course.Course(options)
+    lesson._fly(0)
+    before = lesson._held_out()
+    lesson._learn()
+    assert lesson._held_out() < 0.5 * before
+
+
+def test_labels_are_what_the_teacher_says_to_the_same_observations() -> None:
+    """A teacher flown in parallel, one for each world and told when its episode begins, agrees to the
+    last bit, whoever flies; and what the clone flew is not what the teacher said."""
+    config = configure("nominal", duration=0.5)
+    flight = Flight(config, make_policy("expert", config), 8, seed=3)
+    memory = memory_of(config, 8, 90)
+    flight.fly(30, memory)
+    torch.manual_seed(0)
+    clone = Clone(config, 1, (8,), "tanh")
+    clone.fit_to(*memory.everything(), config.layout)
+    flight.fly(60, memory, clone, share=0.5)
+    assert (memory._age.max(axis=0) > 20).all()
+    assert ((memory._age == 0).sum(axis=0) > 2).all()  # several episodes
+    for world in range(8):
+        teacher, own = make_policy("expert", config), slice(2 * world, 2 * world + 2)
+        for tick in range(90):
+            if memory._age[tick, 2 * world] == 0:
+                teacher.reset()
+            said = teacher.act(memory.seen[tick, own])
+            np.testing.assert_array_equal(said, memory.labels[tick, own])
+
+
+def test_the_teacher_alone_flies_the_episodes_of_its_seeds() -> None:
+    config = configure("nominal")
+    memory = memory_of(config, 2, 40)
+    flight = Flight(config, make_policy("expert", config), 2, seed=5)
+    flight._left[:] = -1
+    flight.fly(40, memory)
+    simulation, teacher = Simulation(config, 2), make_policy("expert", config)
+    for world in range(2):
+        simulation.seed(world, seeded_key(TRAINING_SEEDS + 2 * 5 + world))
+    results = simulation.reset()
+    for tick in range(40):
+        np.testing.assert_array_equal(results.observations.reshape(4, -1), memory.seen[tick])
+        results = simulation.step(teacher.act(results.observations))
+
+
+def test_a_history_ends_where_the_episode_began_and_survives_the_ring() -> None:
+    memory = Memory(ticks=5, rows=1, entries=1, size=1, history=3)
+    ages = [0, 1, 2, 0, 1, 2, 3, 4]
+    for tick, age in enumerate(ages):
+        memory.add(np.full((1, 1), float(tick), dtype=np.float32), np.array([age]))
+        memory.label(np.full((1, 1), float(tick), dtype=np.float32))
+    look = memory.inputs(np.array([4, 5, 7]), np.zeros(3, dtype=np.int64))
+    np.testing.assert_array_equal(look, [[3, 3, 4], [3, 4, 5], [5, 6, 7]])
+    inputs, labels = memory.draw(np.random.default_rng(0), 500, 0, 1)
+    np.testing.assert_array_equal(inputs[:, -1:], labels)
+    assert set(labels[:, 0]) == {5.0, 6.0, 7.0}  # whose history is still there
+    assert (np.diff(inputs, axis=1) >= 0.0).all()
+
+
+@pytest.mark.parametrize(("activation", "history"), [("tanh", 1), ("relu", 3)])
+def test_the_policy_file_says_what_the_clone_says(
+    activation: str, history: int, tmp_path: Path
+) -> None:
+    """As flown from the file, by other code, in closed loop."""
+    config = configure("paper", duration=1.0)
+    memory = memory_of(config, 4, 40, history)
+    flight = Flight(config, make_policy("expert", config), 4, seed=0)
+    flight._left[:] = -1
+    flight.fly(40, memory)
+    torch.manual_seed(1)
+    clone = Clone(config, history, (16, 16), activation)
+    clone.fit_to(*memory.everything(), config.layout)
+    files.save(tmp_path / "x.safetensors", clone.card(config, "bc"), clone.network())
+    policy = Learned(config, tmp_path / "x.safetensors")
+    rows, largest = np.arange(8), 0.0
+    for tick in range(40):
+        said = policy.act(memory.seen[tick].reshape(4, 2, -1)).reshape(8, -1)
+        own = clone.act(memory.inputs(np.full(8, tick), rows))
+        np.testing.assert_allclose(said, own, atol=1e-5, rtol=1e-4)
+        largest = max(largest, float(np.abs(own).max()))
+    assert largest > 1e-3
+
+
+@pytest.mark.parametrize("method", ["bc", "dagger"])
+def test_a_seed_decides_everything(method: str, tmp_path: Path) -> None:
+    for name, seed in (("a", "1"), ("b", "1"), ("c", "2")):
+        assert run(tmp_path / name, "--method", method, "--noise", "0.1", "--seed", seed) == 0
+    networks = [files.load(tmp_path / name / "best.safetensors")[1] for name in "abc"]
+    a, b, c = (np.concatenate([w.ravel() for w in network.weights]) for network in networks)
+    np.testing.assert_array_equal(a, b)
+    assert not np.array_equal(a, c)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--rounds", "0"], "--rounds 0"),
+        (["--scenario", "moon"], "--scenario moon"),
+        (["--teacher", "nobody"], "'nobody'"),
+        (["--learning-rate", "nan"], "--learning-rate nan"),
+        (["--buffer", "20"], "--buffer 20"),
+        (["--hidden", "0"], "--hidden"),
+        (["--action", "thoughts"], "action"),
+    ],
+)
+def test_impossible_options_end_before_anything_is_written(
+    words: list[str], expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        status: Any = run(tmp_path / "x", *words)
+    except SystemExit as problem:
+        status = problem.code
+    assert status == 2
+    assert expected in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()
+
+
+def test_a_folder_with_a_policy_is_left_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "best.safetensors"
+    path.write_bytes(b"dear")
+    assert run(tmp_path) == 2
+    assert str(path) in capsys.readouterr().err
+    assert path.read_bytes() == b"dear"
+
+
+def test_a_missing_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    real = builtins.__import__
+
+    def without(name: str, *rest: Any) -> Any:
+        if name == "tyro":
+            raise ModuleNotFoundError("No module named 'tyro'", name="tyro")
+        return real(name, *rest)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    assert run(tmp_path / "x") == 2
+    assert 'pip install "formation-env[train]"' in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.parametrize(
+    ("error", "status"), [(KeyboardInterrupt(), 130), (OSError(28, "full"), 1)]
+)
+def test_whatever_ends_it_the_best_so_far_stays(
+    error: BaseException,
+    status: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    fly = course.Course._fly
+
+    def ends(self: course.Course, number: int) -> None:
+        if number == 1:
+            raise error
+        fly(self, number)
+
+    monkeypatch.setattr(course.Course, "_fly", ends)
+    assert run(tmp_path, "--evaluate-every", "1") == status
+    card, _ = files.load(tmp_path / "best.safetensors")
+    assert card.steps > 0
+    assert len((tmp_path / "log.csv").read_text().splitlines()) == 2
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["best.safetensors", "log.csv"]
+    assert "Traceback" not in capsys.readouterr().err

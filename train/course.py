@@ -1,0 +1,188 @@
+"""One run of behaviour cloning or DAgger: rounds of flying and learning, scored and kept."""
+
+from __future__ import annotations
+
+import contextlib
+import warnings
+from dataclasses import replace
+from math import cos, pi
+from time import perf_counter
+from typing import Any, final
+
+import numpy as np
+import torch
+
+import formation_env
+from baselines import files, make_policy
+from train.checkpoint import write
+from train.cloning import Clone, Flight, Memory
+from train.evaluation import Judge, Row, to_csv
+from train.imitate import Options
+
+BEST, LOG = "best.safetensors", "log.csv"
+
+_HELD_OUT = 8  # one world of so many
+_LAST_RATE = 0.005  # of the learning rate, at the end
+
+
+@final
+class Course:
+    """A run that is ready; see `train.imitate`.
+
+    Raises `ValueError` for options that cannot be or a folder that has a policy already, `OSError` for a
+    folder that cannot be written.
+    """
+
+    def __init__(self, options: Options) -> None:
+        config = options.check()
+        teacher = make_policy(options.teacher, config)
+        self.options, self.config = options, config
+        _prepare(options)
+        torch.set_num_threads(options.threads)
+        torch.manual_seed(options.seed)
+        self._rng = np.random.default_rng((options.seed, 1))
+        self.flight = Flight(config, teacher, options.worlds, options.seed, options.threads)
+        rows = options.worlds * config.followers
+        self.memory = Memory(
+            options.buffer, rows, config.layout.size, config.action_size, options.history
+        )
+        self._learned = rows - options.worlds // _HELD_OUT * config.followers  # not held out
+        self.clone = Clone(config, options.history, options.hidden, options.activation)
+        self._optimiser = torch.optim.Adam(self.clone.parameters(), lr=options.learning_rate)
+        total = options.rounds * options.updates
+        self._schedule = torch.optim.lr_scheduler.LambdaLR(
+            self._optimiser,
+            lambda i: _LAST_RATE + (1.0 - _LAST_RATE) * 0.5 * (1.0 + cos(pi * i / total)),
+        )
+        self.rows: list[Row] = []
+        self._begun = perf_counter()
+
+    # -- rounds -----------------------------------------------------------------------------------
+
+    def take(self) -> None:
+        """All rounds."""
+        from tqdm import trange
+
+        o = self.options
+        judge = Judge(self.config, o.episodes)
+        self._begun = perf_counter()
+        with _board(o) as board, trange(o.rounds, disable=o.quiet, unit=" rounds") as bar:
+            for number in bar:
+                self._fly(number)
+                figures = {"loss": self._learn(), "held_out": self._held_out()}
+                if (number + 1) % o.evaluate_every == 0 or number + 1 == o.rounds:
+                    self._evaluate(judge)
+                if self.rows:
+                    figures["score"] = self.rows[-1].score
+                bar.set_postfix({name: f"{x:.4f}" for name, x in figures.items()})
+                for name, x in figures.items():
+                    board.add_scalar(f"imitation/{name}", x, self.samples)
+
+    @property
+    def samples(self) -> int:
+        """Agent steps flown so far."""
+        return self.memory.count * self.memory.seen.shape[1]
+
+    def _fly(self, number: int) -> None:
+        """The teacher alone in the first round, which also tells how large things are."""
+        o, config = self.options, self.config
+        if number == 0:
+            self.flight.fly(config.max_steps + o.ticks, self.memory)
+            self.clone.fit_to(*self.memory.everything(), config.layout)
+            return
+        clone = self.clone if o.method == "dagger" else None
+        noise = o.noise * self.clone.size.numpy() if o.noise > 0.0 else None
+        self.flight.fly(o.ticks, self.memory, clone, o.share**number, o.stray, noise)
+
+    def _learn(self) -> float:
+        """The optimiser's steps of a round; the mean loss."""
+        o, size, total = self.options, self.clone.size, 0.0
+        for _ in range(o.updates):
+            inputs, labels = self.memory.draw(self._rng, o.batch, 0, self._learned)
+            said = self.clone(torch.from_numpy(inputs))
+            loss = torch.nn.functional.smooth_l1_loss(
+                said, torch.from_numpy(labels) / size, beta=o.huber
+            )
+            self._optimiser.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            self._optimiser.step()
+            self._schedule.step()
+            total += loss.item()
+        return total / o.updates
+
+    def _held_out(self) -> float:
+        """Root mean square error on worlds that are not learned from, in units of the labels' size."""
+        o, rows = self.options, self.memory.seen.shape[1]
+        inputs, labels = self.memory.draw(self._rng, o.batch, self._learned, rows)
+        with torch.no_grad():
+            error = (
+                self.clone(torch.from_numpy(inputs)) - torch.from_numpy(labels) / self.clone.size
+            )
+        return float(error.square().mean().sqrt())
+
+    # -- scoring and files ------------------------------------------------------------------------
+
+    def _evaluate(self, judge: Judge) -> None:
+        """One line of the log, and the policy if it is the best so far."""
+        o = self.options
+        minutes = (perf_counter() - self._begun) / 60.0
+        card = self.clone.card(
+            self.config,
+            o.method,
+            command=o.command(),
+            seed=o.seed,
+            steps=self.samples,
+            minutes=minutes,
+            package=formation_env.__version__,
+        )
+        network = self.clone.network()
+        score, columns = judge.judge(card, network)
+        value, low, high = (float(x) for x in score[:3])
+        names = ("return", "slot_error_rms", "failed")
+        earned, error, failed = (float(columns[name].mean()) for name in names)
+        row = Row(self.samples, minutes, value, low, high, earned, error, failed, o.seed)
+        best = all(row.score > other.score for other in self.rows)
+        self.rows.append(row)
+        if best:
+            scores = {o.scenario: [row.score, row.low, row.high]}
+            files.save(o.output / BEST, replace(card, score=scores), network)
+        write(o.output / LOG, to_csv(self.rows).encode())
+
+    def summary(self) -> str:
+        """What has been reached, in words."""
+        if not self.rows:
+            return "nothing was written"
+        best = max(self.rows, key=lambda row: row.score)
+        return (
+            f"best score {best.score:.3f} ({best.low:.3f} .. {best.high:.3f}) after {best.steps:,} samples "
+            f"and {best.minutes:.1f} minutes: {self.options.output / BEST}"
+        )
+
+
+def _prepare(options: Options) -> None:
+    """Make sure of a folder that can be written and has no policy."""
+    path = options.output / BEST
+    if path.exists():
+        raise ValueError(f"{path} exists: expected another --output")
+    options.output.mkdir(parents=True, exist_ok=True)
+    write(options.output / ".writable", b"")
+    (options.output / ".writable").unlink()
+
+
+@final
+class _NoBoard:
+    """Takes what TensorBoard would, and drops it."""
+
+    def add_scalar(self, name: str, value: float, step: int) -> None:
+        pass
+
+
+def _board(options: Options) -> Any:
+    """TensorBoard's writer if it is wanted, to be closed by leaving it."""
+    if not options.tensorboard:
+        return contextlib.nullcontext(_NoBoard())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # its own, at import
+        from torch.utils.tensorboard import SummaryWriter
+
+    return SummaryWriter(str(options.output / "tensorboard"))

@@ -1,0 +1,187 @@
+"""Clone a policy: `python -m train.imitate --output DIR`. Needs the `train` extra.
+
+A teacher, by default the expert, says what it would do in many worlds at once, and a network learns to
+say the same. With `--method bc` (behaviour cloning) the teacher flies all the time; with `dagger` the
+clone flies more and more of the worlds, so that the teacher is asked about the clone's own mistakes.
+
+Into the output folder go `best.safetensors`, the best policy so far by the leaderboard's score on seeds
+that neither training nor leaderboard use, which `baselines.evaluate --policies` and `train.ppo --init`
+take; and `log.csv`, the score against samples and minutes. An interruption (Ctrl-C) leaves both.
+"""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import warnings
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, fields
+from math import isfinite
+from pathlib import Path
+from typing import Literal, final
+
+from formation_env import SCENARIOS, FormationConfig, configure
+
+PROGRAM = "train.imitate"
+
+
+@final
+@dataclass(frozen=True)
+class Options:
+    """Clone a policy into one network, shared by all followers."""
+
+    output: Path
+    """Folder for the policy and the log."""
+    scenario: str = "nominal"
+    """Which task, as in the leaderboard."""
+    action: Literal["wrench", "rates", "reference"] | None = None
+    """Action level instead of the scenario's own."""
+    method: Literal["bc", "dagger"] = "dagger"
+    """Who flies: the teacher, or the clone more and more."""
+    teacher: str = "expert"
+    """Who is cloned: a policy's name, or a policy file."""
+    seed: int = 0
+    """Of everything that is drawn."""
+    history: int = 1
+    """How many observations the clone sees, the present one included."""
+
+    rounds: int = 20
+    """Of flying and then learning."""
+    ticks: int = 250
+    """Flown in a round, in every world; before the first, the teacher flies an episode's length more."""
+    updates: int = 300
+    """Steps of the optimiser in a round."""
+    worlds: int = 64
+    """How many fly at once; what an eighth of them shows is held out."""
+    buffer: int = 2000
+    """Ticks of every world that are remembered, the latest."""
+    share: float = 0.5
+    """Part of the worlds that the teacher flies in the second round of dagger; its square in the third,
+    and so on."""
+    stray: float = 30.0
+    """A world in which the teacher wants more than so many times its usual action begins again: far from
+    home there is nothing to learn for those who keep close."""
+    noise: float = 0.0
+    """Of executed actions, in units of the size of the teacher's: shows recoveries (DART)."""
+    batch: int = 2048
+    """Samples in a step of the optimiser."""
+    learning_rate: float = 3e-3
+    """At the start; it falls to nearly nothing along a cosine."""
+    huber: float = 1.0
+    """Where the loss turns from squared to absolute, in units of the size of the teacher's actions."""
+    hidden: tuple[int, ...] = (64, 64)
+    """Widths of the hidden layers."""
+    activation: Literal["tanh", "relu"] = "tanh"
+    """Of the hidden layers."""
+
+    evaluate_every: int = 5
+    """Rounds between two evaluations; the last round is always evaluated."""
+    episodes: int = 32
+    """In an evaluation."""
+    tensorboard: bool = False
+    """Write losses and scores for TensorBoard too."""
+    threads: int = 1
+    """At most so many, worth it for large networks; another number of them rounds otherwise."""
+    quiet: bool = False
+    """No progress bar, no lines but the errors."""
+
+    def check(self) -> FormationConfig:
+        """The task. Raises `ValueError` naming the option that is impossible."""
+        if self.scenario not in SCENARIOS:
+            _refuse("scenario", self.scenario, f"one of {', '.join(SCENARIOS)}")
+        for name, (least, most) in _WHOLE.items():
+            value = getattr(self, name)
+            if not least <= value <= most:
+                _refuse(name, value, f"a whole number from {least} to {most}")
+        for name, (low, high) in _REAL.items():
+            value = getattr(self, name)
+            if not (isfinite(value) and low <= value <= high):
+                _refuse(name, value, f"a number from {low:g} to {high:g}")
+        if not 0 < len(self.hidden) <= 8 or not all(1 <= n <= 4096 for n in self.hidden):
+            _refuse("hidden", self.hidden, "1 to 8 widths from 1 to 4096")
+        if self.buffer < self.ticks + self.history:
+            _refuse("buffer", self.buffer, "at least ticks and history together")
+        return (
+            configure(self.scenario)
+            if self.action is None
+            else configure(self.scenario, action=self.action)
+        )
+
+    def command(self) -> str:
+        """The command that repeats a run, without what does not change its result."""
+        words = ["python", "-m", PROGRAM]
+        usual = {f.name: f.default for f in fields(self)}
+        for name, value in asdict(self).items():
+            if name in _IDLE or value == usual[name]:
+                continue
+            values = value if isinstance(value, tuple) else (value,)
+            words += [f"--{name.replace('_', '-')}", *map(str, values)]
+        return shlex.join(words)
+
+
+# Least and largest.
+_WHOLE = {
+    "seed": (0, 2**32 - 1),
+    "history": (1, 100),
+    "rounds": (1, 10**6),
+    "ticks": (1, 10**6),
+    "updates": (1, 10**6),
+    "worlds": (8, 2**16),
+    "buffer": (2, 10**7),
+    "batch": (1, 2**24),
+    "evaluate_every": (1, 10**6),
+    "episodes": (1, 100_000),
+    "threads": (1, 1024),
+}
+_REAL = {
+    "share": (0.0, 1.0),
+    "stray": (1.0, 1e9),
+    "noise": (0.0, 1e3),
+    "learning_rate": (1e-12, 1.0),
+    "huber": (1e-6, 1e6),
+}
+_IDLE = ("output", "tensorboard", "threads", "quiet")
+
+
+def _refuse(name: str, value: object, expected: str) -> None:
+    raise ValueError(f"--{name.replace('_', '-')} {value}: expected {expected}")
+
+
+def _fail(message: object, status: int) -> int:
+    print(f"{PROGRAM}: error: {message}", file=sys.stderr)
+    return status
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # theirs, at import
+            import tyro
+
+            from train.course import Course
+    except ModuleNotFoundError as problem:
+        return _fail(f'{problem.name} is not installed: pip install "formation-env[train]"', 2)
+    options = tyro.cli(Options, prog=f"python -m {PROGRAM}", description=__doc__, args=arguments)
+    try:
+        course = Course(options)
+    except ValueError as problem:
+        return _fail(problem, 2)
+    except OSError as problem:
+        return _fail(f"cannot write into {problem.filename}: {problem.strerror}", 2)
+    except KeyboardInterrupt:
+        return _fail("interrupted: nothing was written", 130)
+    try:
+        course.take()
+    except OSError as problem:
+        where = f"{problem.filename}: " if problem.filename else ""
+        return _fail(f"{where}{problem.strerror or problem}; earlier files are intact", 1)
+    except KeyboardInterrupt:
+        return _fail(f"interrupted: {course.summary()}", 130)
+    if not options.quiet:
+        print(course.summary())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
