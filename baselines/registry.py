@@ -12,9 +12,12 @@ from baselines.files import SUFFIX, Card, load
 from baselines.learned import Learned, Misfit
 from baselines.policy import Policy
 from baselines.simple import Hover, Pd, Random
+from baselines.tuned import ExpertTuned
 from formation_env import FormationConfig
 
-POLICIES: dict[str, type[Policy]] = {policy.name: policy for policy in (Expert, Pd, Hover, Random)}
+POLICIES: dict[str, type[Policy]] = {
+    policy.name: policy for policy in (Expert, ExpertTuned, Pd, Hover, Random)
+}
 # Ways of learning. What they made is shipped in files, one for a scenario and action level.
 METHODS = ("ppo", "bc", "dagger", "bc-ppo", "residual")
 SHIPPED = Path(__file__).parent / "policies"

@@ -38,10 +38,10 @@ def at_rest(config: FormationConfig, **changed: Any) -> np.ndarray:
 
 def test_names_lead_to_policies() -> None:
     config = configure("nominal")
-    for name in ("expert", "pd", "hover", "random"):
+    for name in ("expert", "expert-tuned", "pd", "hover", "random"):
         assert make_policy(name, config).name == name
     with pytest.raises(
-        ValueError, match="'best': expected one of 'expert', 'pd', 'hover', 'random', 'ppo'"
+        ValueError, match="'best': expected one of 'expert', 'expert-tuned', 'pd', 'hover', 'random', 'ppo'"
     ):
         make_policy("best", config)
 

@@ -1,0 +1,190 @@
+"""The paper's laws with gains found by a search: what the expert could do with less caution.
+
+The gains are those of `tuned_gains.json` beside this file, one set for each scenario and action level,
+found by `python -m train.tune_expert`. They fly the follower alone: its planner, and its tracker where
+the follower commands what the tracker puts out. The leader, and at action level `reference` the
+tracker that flies the follower, belong to the world and keep the configuration's own gains.
+"""
+
+from __future__ import annotations
+
+import json
+import warnings
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.expert import Expert
+from baselines.policy import Policy, Rows
+from formation_env import FormationConfig, configure
+from formation_env.checks import require
+from formation_env.config import LEVELS
+from formation_env.gains import PlannerGains, TrackerGains
+
+GAINS = Path(__file__).with_name("tuned_gains.json")
+VERSION = 1  # of the file's format
+
+FEEDFORWARDS = ("zero", "derived")
+_PLANNER = tuple(f.name for f in fields(PlannerGains))
+# `p12` and `p22` follow from the others (59).
+_TRACKER = tuple(f.name for f in fields(TrackerGains) if f.name not in ("p12", "p22"))
+
+Table = dict[tuple[str, str], "Gains"]
+
+
+class UntunedWarning(UserWarning):
+    """No gains were found for this scenario and action level: the configuration's own fly."""
+
+
+@final
+@dataclass(frozen=True)
+class Gains:
+    """What a search may choose of the expert. `tracker` is None where the environment's own flies."""
+
+    planner: PlannerGains
+    tracker: TrackerGains | None
+    feedforward: str = "zero"  # or "derived"
+
+    def __post_init__(self) -> None:
+        known = self.feedforward in FEEDFORWARDS
+        require(known, "feedforward", self.feedforward, "'zero' or 'derived'")
+
+    def document(self) -> dict[str, Any]:
+        """The gains as in the file."""
+        tracker = self.tracker
+        return {
+            "planner": {name: getattr(self.planner, name) for name in _PLANNER},
+            "tracker": tracker and {name: getattr(tracker, name) for name in _TRACKER},
+            "feedforward": self.feedforward,
+        }
+
+
+def tracker_field(config: FormationConfig) -> str | None:
+    """The field of the configuration with the gains of the expert's own tracker, if it has one."""
+    return {"wrench": "tracker", "rates": "rates_tracker"}.get(config.action)
+
+
+def own(config: FormationConfig, feedforward: str = "zero") -> Gains:
+    """The configuration's own gains: with them the tuned expert is the expert."""
+    name = tracker_field(config)
+    return Gains(config.planner, getattr(config, name) if name else None, feedforward)
+
+
+def lawful(config: FormationConfig, gains: Gains) -> FormationConfig:
+    """The configuration whose laws have these gains.
+
+    It checks them together, as (53) joins planner and tracker. Raises `ValueError` naming the gain.
+    """
+    name = tracker_field(config)
+    if (name is None) != (gains.tracker is None):
+        expected = "none: the environment's own flies" if name is None else "the tracker's gains"
+        raise ValueError(f"tracker = {gains.tracker!r}: expected {expected}")
+    given: dict[str, Any] = {} if name is None else {name: gains.tracker}
+    return configure(config, planner=gains.planner, **given)
+
+
+# -- the file -------------------------------------------------------------------------------------
+
+
+def read(path: Path = GAINS) -> Table:
+    """The gains in a file by scenario and action level.
+
+    Raises `ValueError` naming the file and what in it is not as expected: not JSON, another version, a
+    gain too many, missing, not finite or against a condition of the paper.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        return {
+            (scenario, action): _gains(entry, f"{scenario}.{action}", action)
+            for scenario, actions in _entries(document).items()
+            for action, entry in _object(actions, scenario).items()
+        }
+    except OSError as problem:
+        raise ValueError(f"{path}: {problem.strerror}; expected a file of gains") from None
+    except (UnicodeDecodeError, json.JSONDecodeError) as problem:
+        raise ValueError(f"{path}: {problem}; expected JSON") from None
+    except ValueError as problem:
+        raise ValueError(f"{path}: {problem}") from None
+
+
+def _object(value: Any, where: str, names: tuple[str, ...] | None = None) -> dict[str, Any]:
+    """`value` as a JSON object, with exactly these names where given."""
+    require(isinstance(value, dict), where, value, "an object")
+    if names is not None:
+        unknown, missing = sorted(set(value) - set(names)), sorted(set(names) - set(value))
+        require(not unknown, where, unknown, f"only {', '.join(names)}")
+        require(not missing, where, sorted(value), f"also {', '.join(missing)}")
+    return dict(value)
+
+
+def _entries(document: Any) -> dict[str, Any]:
+    whole = _object(document, "the file", ("version", "gains"))
+    require(whole["version"] == VERSION, "version", whole["version"], f"{VERSION}")
+    return _object(whole["gains"], "gains")
+
+
+def _gains(entry: Any, where: str, action: str) -> Gains:
+    try:
+        e = _object(entry, "entry", ("planner", "tracker", "feedforward", "made"))
+        require(action in LEVELS, "action level", action, f"one of {', '.join(LEVELS)}")
+        planner = PlannerGains(**_object(e["planner"], "planner", _PLANNER))
+        tracker = None
+        if action == "reference":
+            require(e["tracker"] is None, "tracker", e["tracker"], "null: the environment's flies")
+        else:
+            tracker = TrackerGains(**_object(e["tracker"], "tracker", _TRACKER))
+        _object(e["made"], "made")
+        return Gains(planner, tracker, e["feedforward"])
+    except ValueError as problem:
+        raise ValueError(f"{where}: {problem}") from None
+
+
+@lru_cache(maxsize=1)
+def _shipped() -> Table:
+    return read()
+
+
+# -- the policy -----------------------------------------------------------------------------------
+
+
+@final
+class ExpertTuned(Policy):
+    """The expert with gains of its own.
+
+    By default those found for the configuration's scenario and action level. Where none were found it
+    warns with `UntunedWarning` and flies with the configuration's, as the expert does; `tuned` says
+    which. Raises `ValueError` for gains that do not fit the configuration.
+    """
+
+    name = "expert-tuned"
+
+    def __init__(self, config: FormationConfig, gains: Gains | None = None) -> None:
+        super().__init__(config)
+        found = gains or _shipped().get((config.scenario, config.action))
+        self.tuned = found is not None
+        if found is None:
+            warnings.warn(
+                f"expert-tuned: no gains were found for scenario {config.scenario!r} at action level "
+                f"{config.action!r}; the configuration's own fly",
+                UntunedWarning,
+                stacklevel=2,
+            )
+        self.gains = found or own(config)
+        try:
+            law = lawful(config, self.gains)
+        except ValueError as problem:
+            raise ValueError(f"expert-tuned: {problem}") from None
+        self._expert = Expert(law, self.gains.feedforward)
+
+    def begin(self, seeds: NDArray[np.uint64]) -> None:
+        self._expert.begin(seeds)
+
+    def begin_again(self, mask: NDArray[np.bool_]) -> None:
+        self._expert.begin_again(mask)
+
+    def decide(self, rows: Rows) -> Rows:
+        return self._expert.decide(rows)

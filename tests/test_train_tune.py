@@ -1,0 +1,234 @@
+"""The search for gains: every point lawful, the same result again, nothing lost when interrupted."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("tyro")
+pytest.importorskip("cma")
+
+from baselines.tuned import lawful, own, read
+from formation_env import SCENARIOS, configure
+from train import tune_expert
+from train.gain_space import PLANNER, REACH, GainSpace
+from train.tune_expert import Candidate, Options, Search, main, search
+
+TINY = ["--episodes", "4", "--evaluations", "36", "--validation", "8", "--finalists", "3"]
+TINY += ["--threads", "2", "--quiet"]
+
+
+@pytest.mark.parametrize("action", ["wrench", "rates", "reference"])
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_every_point_of_the_space_is_lawful(scenario: str, action: str) -> None:
+    """Corners included; theorem 1, theorem 2 and (53) are checked by the gains and `lawful`."""
+    config = configure(scenario, action=action)
+    space = GainSpace(config)
+    rng = np.random.default_rng(0)
+    size = len(space.names)
+    points = [*rng.uniform(-REACH, REACH, (20, size)), *rng.choice([-REACH, REACH], (20, size))]
+    for x in points:
+        lawful(config, space.gains(x, "zero"))
+
+
+@pytest.mark.parametrize("action", ["wrench", "rates", "reference"])
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_its_origin_is_the_own_gains(scenario: str, action: str) -> None:
+    config = configure(scenario, action=action)
+    space, mine = GainSpace(config), own(config)
+    origin = space.gains(np.zeros(len(space.names)), "zero")
+    assert origin.document()["planner"] == pytest.approx(mine.document()["planner"])
+    assert origin.feedforward == mine.feedforward
+    if mine.tracker is None:
+        assert origin.tracker is None
+    else:
+        assert origin.document()["tracker"] == pytest.approx(mine.document()["tracker"])
+
+
+@pytest.mark.parametrize("action", ["wrench", "rates", "reference"])
+def test_every_coordinate_moves_something(action: str) -> None:
+    space = GainSpace(configure("nominal", action=action))
+    size = len(space.names)
+    origin = space.gains(np.zeros(size), "zero")
+    moved = [space.gains(0.5 * np.eye(size)[i], "zero") for i in range(size)]
+    assert len({origin, *moved}) == 1 + size
+    assert space.names[: len(PLANNER)] == PLANNER
+
+
+def _hill(distance: float) -> tuple[Search, list[Candidate]]:
+    """A search of a hill whose top is `distance` from the own gains in every coordinate."""
+    space = GainSpace(configure("nominal", action="reference"))
+    top = space.gains(np.full(len(space.names), distance), "zero").document()["planner"]
+
+    def value(candidates: Any) -> list[float]:
+        rows = [[g.document()["planner"][name] for name in PLANNER] for g in candidates]
+        goal = np.array([top[name] for name in PLANNER])
+        return [-float(np.square(np.log1p(row) - np.log1p(goal)).sum()) for row in rows]
+
+    seen: list[Candidate] = []
+    return Search(space, value, lambda _, generation: seen.extend(generation), 0.5, 3), seen
+
+
+def test_the_search_finds_the_top_of_a_hill_and_restarts_when_it_has() -> None:
+    drive, seen = _hill(0.7)
+    search(drive, "zero", 3000, ())
+    assert len(seen) == 3000
+    assert seen[0].x == (0.0,) * 7
+    assert max(c.value for c in seen) > -1e-4 > seen[0].value
+    far = [c.value < -0.01 for c in seen]
+    assert not any(far[800:900]) or any(far[2000:])  # it scatters again after having converged
+
+
+def test_what_is_known_is_not_flown_again() -> None:
+    """The journal's values lead the search along the same points; only the rest is flown."""
+    drive, seen = _hill(0.7)
+    search(drive, "zero", 60, ())
+    flown: list[int] = []
+    again: list[Candidate] = []
+
+    def counting(candidates: Any) -> list[float]:
+        flown.append(len(candidates))
+        return drive.value(candidates)
+
+    def told(_: str, generation: Any) -> None:
+        again.extend(generation)
+
+    resumed = drive._replace(value=counting, told=told)
+    search(resumed, "zero", 60, [c.value for c in seen[:25]])
+    assert again == seen
+    assert sum(flown) == 35
+
+
+def _detuned(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let `nominal` start from gains that are much too slow for its leader."""
+    plain = configure
+
+    def slow(scenario: Any, **given: Any) -> Any:
+        config = plain(scenario, **given)
+        if given or not isinstance(scenario, str):
+            return config
+        from dataclasses import replace
+
+        return plain(config, planner=replace(config.planner, k1=0.05, kz1=0.02), duration=6.0)
+
+    monkeypatch.setattr(tune_expert, "configure", slow)
+
+
+def test_a_small_search_improves_detuned_gains(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By more than its interval, on seeds not searched; twice the same; gone on with after a stop."""
+    _detuned(monkeypatch)
+    gains, other = tmp_path / "gains.json", tmp_path / "other.json"
+    assert main([*TINY, "--output", f"{tmp_path / 'a'}", "--gains", f"{gains}"]) == 0
+    made = json.loads(gains.read_text())["gains"]["nominal"]["wrench"]["made"]
+    assert made["score"][1] > 1.0 and made["return_minus_expert"][1] > 0.0
+    assert made["seed"] == 1 and made["command"].startswith("python -m train.tune_expert --episodes 4 ")
+    assert list(read(gains)) == [("nominal", "wrench")]
+
+    # Stopped in the midst of the second choice of feedforward.
+    plain, count = tune_expert.fly, [0]
+
+    def stopping(*given: Any) -> Any:
+        count[0] += 1
+        if count[0] > 30:
+            raise KeyboardInterrupt
+        return plain(*given)
+
+    words = [*TINY, "--output", f"{tmp_path / 'b'}", "--gains", f"{other}"]
+    with monkeypatch.context() as patch:
+        patch.setattr(tune_expert, "fly", stopping)
+        assert main(words) == 130
+    journal = json.loads((tmp_path / "b" / "nominal-wrench.json").read_text())
+    assert 18 <= journal["evaluations"] < 36 and journal["result"] is None
+    assert not other.exists()
+    assert main([*words, "--resume"]) == 0
+    whole = json.loads((tmp_path / "a" / "nominal-wrench.json").read_text())
+    again = json.loads((tmp_path / "b" / "nominal-wrench.json").read_text())
+    assert again["values"] == whole["values"]
+    assert read(other) == read(gains)
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--scenario", "moon"], "scenario = 'moon': expected one of"),
+        (["--action", "yaw"], "action = 'yaw': expected one of"),
+        (["--feedforward", "some"], "feedforward = 'some': expected one of both"),
+        (["--episodes", "0"], "episodes = 0: expected an integer"),
+        (["--validation", "100001"], "validation = 100001"),
+        (["--spread", "nan"], "spread = nan: expected a finite number above 0"),
+        (["--seed", "-1"], "seed = -1"),
+        (["--resume"], "--resume: "),
+    ],
+)
+def test_impossible_options_are_one_line(
+    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main([*words, "--output", f"{tmp_path / 'out'}"])
+    assert stopped.value.code == 2
+    said = capsys.readouterr().err
+    assert said.startswith("train.tune_expert: error: ") and message in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_earlier_files_are_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A journal is not begun anew, one of another search or no journal is not gone on with, and a
+    broken file of gains is not overwritten."""
+    journal, gains = tmp_path / "nominal-wrench.json", tmp_path / "gains.json"
+    head = {"options": {"seed": 5}, "package": "0", "values": {}}
+    gains.write_text("{}")
+    for text, words, message in (
+        (json.dumps(head), [], "exists: expected --resume"),
+        (json.dumps(head), ["--resume"], "was begun with seed = 5, not 1"),
+        ("[1]", ["--resume"], "is not a journal"),
+        (None, ["--gains", f"{gains}"], "gains.json: the file = "),
+    ):
+        journal.unlink(missing_ok=True)
+        if text is not None:
+            journal.write_text(text)
+        with pytest.raises(SystemExit, match="2"):
+            main([*TINY, "--output", f"{tmp_path}", *words])
+        assert message in capsys.readouterr().err
+        assert text is None or journal.read_text() == text
+    assert gains.read_text() == "{}"
+
+
+def test_a_missing_library_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "cma", None)
+    with pytest.raises(SystemExit, match="2"):
+        main(TINY)
+    assert 'cma is missing: pip install "formation-env[train]"' in capsys.readouterr().err
+
+
+def test_gains_that_overflow_are_the_worst(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The simulation refuses actions that are not numbers; other errors are not swallowed."""
+
+    def refuse(text: str) -> None:
+        def fly(*_: Any) -> Any:
+            raise ValueError(text)
+
+        monkeypatch.setattr(tune_expert, "fly", fly)
+
+    policy = tune_expert.ExpertTuned(configure("nominal"))
+    refuse("action of follower_1 of world 7 = [nan]: expected finite numbers")
+    assert tune_expert._return(policy, range(2)) == -1e3
+    refuse("something else")
+    with pytest.raises(ValueError, match="something else"):
+        tune_expert._return(policy, range(2))
+
+
+def test_options_are_checked_by_their_own_names() -> None:
+    assert Options(action="rates").check().action == "rates"
+    reference = configure("nominal", action="reference")
+    assert Options().choices(reference) == ("zero",)
+    assert Options().choices(configure("nominal")) == ("zero", "derived")

@@ -1,0 +1,458 @@
+"""Find gains for the paper's laws: `python -m train.tune_expert --scenario paper`.
+
+CMA-ES (pycma) searches the gains of the follower's planner and tracker for the largest mean return
+over training seeds, the same ones for every candidate; a failure costs what it costs in the return.
+The point it starts from is the configuration's own gains, and every point it may visit satisfies the
+paper's conditions (`train.gain_space`). The best few by training, and the own gains, then fly
+validation seeds, and the best of those is the result. Nothing here sees the leaderboard's seeds.
+
+Results do not depend on the number of threads, and the same options give the same gains. What was
+found so far is in `OUTPUT/SCENARIO-ACTION.json`; after an interruption `--resume` goes on with it: the
+search is repeated from its journal, without flying what was flown.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import sys
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+import formation_env
+from baselines import make_policy
+from baselines.evaluate import write_text
+from baselines.intervals import Estimate
+from baselines.policy import Policy
+from baselines.rollout import Episodes, chunks, fly
+from baselines.scoring import Result, judge
+from baselines.tuned import FEEDFORWARDS, VERSION, ExpertTuned, Gains, own, read
+from formation_env import FormationConfig, configure
+from formation_env.checks import integer, number, require
+from train.gain_space import REACH, GainSpace
+
+PROGRAM = "train.tune_expert"
+
+# First seeds. The leaderboard's are 0 to 99; at most `_MOST` episodes keep the three apart.
+TRAINING, VALIDATION, _MOST = 100_000, 200_000, 100_000
+
+_WORST = -1e3  # the return of gains with which the law leaves the range of numbers
+_EVERY = 5.0  # s between two writings of the journal
+
+Point = NDArray[np.float64]
+
+
+@final
+@dataclass(frozen=True)
+class Options:
+    """Find gains for the paper's laws on the training seeds of a scenario."""
+
+    scenario: str = "nominal"
+    """Where the followers fly."""
+    action: str | None = None
+    """Action level: wrench, rates or reference (by default the scenario's own)."""
+    feedforward: str = "both"
+    """Third and fourth derivatives of the reference: zero, derived, or both tried."""
+    episodes: int = 64
+    """Training seeds, the same for every candidate."""
+    evaluations: int = 4000
+    """Candidates flown in all, shared between what is tried of feedforward."""
+    validation: int = 256
+    """Validation seeds."""
+    finalists: int = 8
+    """Candidates that fly them, of each feedforward."""
+    spread: float = 0.5
+    """Standard deviation of the first candidates around the own gains; 1 is a factor of e."""
+    seed: int = 1
+    """Of the search."""
+    output: Path = field(default_factory=lambda: Path("runs/tune"))
+    """Folder for the journal."""
+    gains: Path | None = None
+    """A file of gains that takes up the result, such as baselines/tuned_gains.json."""
+    resume: bool = False
+    """Go on with the journal that is there."""
+    threads: int = field(default_factory=lambda: os.cpu_count() or 1)
+    """Candidates flown at a time."""
+    quiet: bool = False
+    """No progress bar."""
+
+    def check(self) -> FormationConfig:
+        """The configuration searched. Raises `ValueError` naming the option that is wrong."""
+        config = configure(self.scenario)
+        if self.action is not None:
+            config = configure(self.scenario, action=self.action)
+        allowed = ("both", *FEEDFORWARDS)
+        known = self.feedforward in allowed
+        require(known, "feedforward", self.feedforward, f"one of {', '.join(allowed)}")
+        integer("episodes", self.episodes, 1, _MOST)
+        integer("evaluations", self.evaluations, 1, 10_000_000)
+        integer("validation", self.validation, 1, _MOST)
+        integer("finalists", self.finalists, 1, 1000)
+        number("spread", self.spread, 0.0)
+        integer("seed", self.seed, 0, 2**63)
+        integer("threads", self.threads, 1, 1024)
+        return config
+
+    def choices(self, config: FormationConfig) -> tuple[str, ...]:
+        """The feedforwards tried; at level `reference` nobody takes one from the expert."""
+        if config.action == "reference":
+            return ("zero",)
+        return FEEDFORWARDS if self.feedforward == "both" else (self.feedforward,)
+
+
+# -- flying ---------------------------------------------------------------------------------------
+
+
+def flown(policy: Policy, seeds: range) -> Episodes:
+    """The episodes of a policy."""
+    groups = chunks(seeds.start, len(seeds), policy.config.followers)
+    parts = [fly(policy, group) for group in groups]
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _return(policy: Policy, seeds: range) -> float:
+    """Mean return over the seeds."""
+    try:
+        value = float(flown(policy, seeds)["return"].mean())
+    except ValueError as problem:
+        if "expected finite numbers" not in str(problem):
+            raise
+        return _WORST  # the law overflowed and the simulation refused its action
+    return value if np.isfinite(value) else _WORST
+
+
+# -- the search -----------------------------------------------------------------------------------
+
+
+class Candidate(NamedTuple):
+    """A point of the gain space that has been flown."""
+
+    x: tuple[float, ...]
+    feedforward: str
+    value: float  # mean return on the training seeds
+
+
+class Search(NamedTuple):
+    """One search at a time: its space, how it is driven, and where its results go."""
+
+    space: GainSpace
+    value: Callable[[Sequence[Gains]], list[float]]  # mean returns
+    told: Callable[[str, Sequence[Candidate]], None]  # after every generation
+    spread: float
+    seed: int
+
+
+def search(s: Search, feedforward: str, budget: int, known: Sequence[float]) -> None:
+    """CMA-ES from the own gains with `budget` candidates, the first of them the own gains.
+
+    Where it has converged before, it starts again with twice as many candidates a generation (IPOP).
+    `known` are the values of the first candidates, from a journal: they are not flown again.
+    """
+    rng = np.random.default_rng((s.seed, FEEDFORWARDS.index(feedforward)))
+    known, left = list(known), budget
+    own_point = np.zeros(len(s.space.names))
+    left -= _generation(s, feedforward, [own_point], known)
+    larger = 1
+    while left > 0:
+        strategy = _strategy(s, rng, larger)
+        while left > 0 and not strategy.stop():
+            points = strategy.ask()[: max(left, 0)]
+            full = len(points) == strategy.popsize
+            values: list[float] = []
+            left -= _generation(s, feedforward, points, known, values)
+            if full:  # what is cut off by the budget is the last generation
+                strategy.tell(points, [-v for v in values])
+        larger *= 2
+
+
+def _strategy(s: Search, rng: np.random.Generator, larger: int) -> Any:
+    import cma
+
+    dimension = len(s.space.names)
+    options = {
+        "bounds": [-REACH, REACH],
+        "popsize": larger * (4 + int(3 * np.log(dimension))),
+        # Its own stream: nothing is drawn from NumPy's global state.
+        "seed": np.nan,
+        "randn": lambda *shape: rng.standard_normal(shape),
+        "tolfun": 1e-7,  # below it two returns are alike
+        "tolx": 1e-4,
+        "verbose": -10,  # and reads no file of signals
+        "verb_log": 0,
+        "verb_disp": 0,
+    }
+    return cma.CMAEvolutionStrategy(np.zeros(dimension), s.spread, options)
+
+
+def _generation(
+    s: Search,
+    feedforward: str,
+    points: Sequence[Point],
+    known: list[float],
+    values: list[float] | None = None,
+) -> int:
+    """Fly the points, or take their values from `known`; returns how many there were."""
+    old = known[: len(points)]
+    del known[: len(points)]
+    new = s.value([s.space.gains(x, feedforward) for x in points[len(old) :]])
+    both = [*old, *new]
+    s.told(
+        feedforward,
+        [
+            Candidate(tuple(map(float, x)), feedforward, value)
+            for x, value in zip(points, both, strict=True)
+        ],
+    )
+    if values is not None:
+        values += both
+    return len(points)
+
+
+# -- the journal ----------------------------------------------------------------------------------
+
+# What may differ when a search is gone on with.
+_FREE = ("resume", "threads", "quiet", "output", "gains", "evaluations")
+
+
+@final
+class Journal:
+    """What has been flown, in one file that is written whole or not at all."""
+
+    def __init__(self, path: Path, options: Options, config: FormationConfig, command: str) -> None:
+        self._path, self._space = path, GainSpace(config)
+        fixed = {k: v for k, v in asdict(options).items() if k not in _FREE}
+        self._head: dict[str, Any] = {
+            "command": command,
+            "package": formation_env.__version__,
+            "options": {**fixed, "action": config.action},
+            "training": [TRAINING, TRAINING + options.episodes - 1],
+        }
+        self._written = time.monotonic()
+        self.candidates: dict[str, list[Candidate]] = {}
+
+    def known(self) -> dict[str, list[float]]:
+        """The values in the file. Raises `ValueError` if it is of another search."""
+        try:
+            before = json.loads(self._path.read_text(encoding="utf-8"))
+            options, package, values = before["options"], before["package"], before["values"]
+            known = {k: [float(x) for x in v] for k, v in values.items()}
+        except OSError as problem:
+            raise ValueError(
+                f"--resume: {self._path}: {problem.strerror}; expected a journal"
+            ) from None
+        except (ValueError, KeyError, TypeError, AttributeError):
+            raise ValueError(f"--resume: {self._path} is not a journal of {PROGRAM}") from None
+        now = json.loads(json.dumps({**self._head["options"], "package": self._head["package"]}))
+        for name, value in {**options, "package": package}.items():
+            if now.get(name) != value:
+                raise ValueError(
+                    f"--resume: {self._path} was begun with {name} = {value!r}, not {now.get(name)!r}"
+                )
+        return known
+
+    def add(self, feedforward: str, generation: Sequence[Candidate]) -> None:
+        """Note a generation; the file follows within seconds."""
+        self.candidates.setdefault(feedforward, []).extend(generation)
+        if time.monotonic() - self._written > _EVERY:
+            self.write(None)
+
+    def best(self, feedforward: str, count: int) -> list[Candidate]:
+        """The best by training, no two alike; the earlier first where they are equally good."""
+        ordered = sorted(self.candidates[feedforward], key=lambda c: -c.value)
+        return list(dict.fromkeys(ordered))[:count]
+
+    def write(self, result: dict[str, Any] | None) -> None:
+        """Write the file: values in the order flown, the best gains so far, and the result."""
+        everyone = [c for each in self.candidates.values() for c in each]
+        best = max(everyone, key=lambda c: c.value)
+        document = {
+            **self._head,
+            "evaluations": len(everyone),
+            "best_by_training": {
+                "return": best.value,
+                **self._space.gains(np.array(best.x), best.feedforward).document(),
+            },
+            "result": result,
+            "values": {name: [c.value for c in each] for name, each in self.candidates.items()},
+        }
+        write_text(self._path, json.dumps(document, indent=1, allow_nan=False) + "\n")
+        self._written = time.monotonic()
+
+
+# -- validation -----------------------------------------------------------------------------------
+
+
+class Verdict(NamedTuple):
+    """The gains chosen and what they are worth on the validation seeds."""
+
+    gains: Gains
+    result: Result
+
+
+def validate(
+    config: FormationConfig, finalists: Sequence[Gains], seeds: range, pool: ThreadPoolExecutor
+) -> Verdict:
+    """The finalist with the largest mean return over the seeds, the first where equal."""
+    policies = [ExpertTuned(config, gains) for gains in finalists]
+    anchors = [make_policy(name, config) for name in ("hover", "expert")]
+    hover, expert, *columns = pool.map(lambda p: flown(p, seeds), [*anchors, *policies])
+    best = max(range(len(columns)), key=lambda i: columns[i]["return"].mean())
+    return Verdict(finalists[best], judge(columns[best], hover, expert))
+
+
+def _interval(e: Estimate) -> list[float | None]:
+    return [float(x) if np.isfinite(x) else None for x in (e.value, e.low, e.high)]
+
+
+def made(options: Options, command: str, verdict: Verdict) -> dict[str, Any]:
+    """How gains were found and what they are worth."""
+    result = verdict.result
+    return {
+        "command": command,
+        "package": formation_env.__version__,
+        "seed": options.seed,
+        "training": [TRAINING, TRAINING + options.episodes - 1],
+        "validation": [VALIDATION, VALIDATION + options.validation - 1],
+        "score": _interval(result.score),
+        "return": _interval(result.summary["return"]),
+        "return_minus_expert": _interval(result.differences["return"]),
+        "failed": _interval(result.summary["failed"]),
+    }
+
+
+def take_up(path: Path, scenario: str, action: str, entry: dict[str, Any]) -> None:
+    """Put an entry into a file of gains, which is made if it is not there."""
+    gains: dict[str, dict[str, Any]] = {}
+    if path.exists():
+        read(path)  # a broken file is refused, not overwritten
+        gains = json.loads(path.read_text(encoding="utf-8"))["gains"]
+    gains.setdefault(scenario, {})[action] = entry
+    document = {"version": VERSION, "gains": gains}
+    write_text(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
+
+
+# -- command line ---------------------------------------------------------------------------------
+
+
+def command_of(options: Options) -> str:
+    """The command that repeats the result: without what does not change it."""
+    words = ["python", "-m", PROGRAM]
+    for each in fields(options):
+        value, usual = getattr(options, each.name), getattr(Options(), each.name)
+        if value != usual and each.name not in ("resume", "threads", "quiet", "output"):
+            words += [f"--{each.name}", str(value)]
+    return shlex.join(words)
+
+
+def tune(options: Options) -> Verdict:
+    """The whole search. Raises `ValueError` for wrong options, before anything is written."""
+    config, command = options.check(), command_of(options)
+    path = options.output / f"{config.scenario}-{config.action}.json"
+    journal = Journal(path, options, config, command)
+    known = journal.known() if options.resume else {}
+    if path.exists() and not options.resume:
+        raise ValueError(f"{path} exists: expected --resume to go on with it, or another --output")
+    if options.gains is not None and options.gains.exists():
+        read(options.gains)
+    options.output.mkdir(parents=True, exist_ok=True)
+    verdict = _run(options, config, journal, known)
+    entry = {**verdict.gains.document(), "made": made(options, command, verdict)}
+    journal.write(entry)
+    if options.gains is not None:
+        take_up(options.gains, config.scenario, config.action, entry)
+    return verdict
+
+
+def _run(
+    options: Options, config: FormationConfig, journal: Journal, known: dict[str, list[float]]
+) -> Verdict:
+    from tqdm import tqdm
+
+    space, choices = GainSpace(config), options.choices(config)
+    seeds = range(TRAINING, TRAINING + options.episodes)
+    share = max(1, options.evaluations // len(choices))
+    # Before many threads do so at once: the first flight compiles, and the own gains must fly.
+    flown(make_policy("expert", config), range(TRAINING, TRAINING + 1))
+    with (
+        ThreadPoolExecutor(options.threads, thread_name_prefix="tune") as pool,
+        tqdm(total=share * len(choices), disable=options.quiet, unit=" candidates") as bar,
+    ):
+
+        def value(candidates: Sequence[Gains]) -> list[float]:
+            # Made here, not in the threads: how `configure` silences warnings is not for threads.
+            policies = [ExpertTuned(config, gains) for gains in candidates]
+            return list(pool.map(lambda policy: _return(policy, seeds), policies))
+
+        def told(feedforward: str, generation: Sequence[Candidate]) -> None:
+            journal.add(feedforward, generation)
+            bar.update(len(generation))
+            bar.set_postfix({feedforward: f"{journal.best(feedforward, 1)[0].value:.4f}"})
+
+        try:
+            for choice in choices:
+                drive = Search(space, value, told, options.spread, options.seed)
+                search(drive, choice, share, known.get(choice, ()))
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            if journal.candidates:
+                journal.write(None)
+            raise
+        return validate(config, _finalists(options, config, journal), _validation(options), pool)
+
+
+def _validation(options: Options) -> range:
+    return range(VALIDATION, VALIDATION + options.validation)
+
+
+def _finalists(options: Options, config: FormationConfig, journal: Journal) -> list[Gains]:
+    """The own gains, then the best by training."""
+    space = GainSpace(config)
+    best = [
+        space.gains(np.array(c.x), c.feedforward)
+        for choice in options.choices(config)
+        for c in journal.best(choice, options.finalists)
+    ]
+    return [own(config), *best]
+
+
+def _refuse(message: object) -> NoReturn:
+    print(f"{PROGRAM}: error: {message}", file=sys.stderr)
+    raise SystemExit(2)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
+    try:
+        import cma  # noqa: F401  # its absence is better known now than after compiling
+        import tyro
+    except ImportError as problem:
+        _refuse(f'{problem.name} is missing: pip install "formation-env[train]"')
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    options = tyro.cli(Options, args=words, prog=PROGRAM, description=__doc__)
+    try:
+        verdict = tune(options)
+    except ValueError as problem:
+        _refuse(problem)
+    except OSError as problem:
+        print(f"{PROGRAM}: error: {problem}; earlier files are kept", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("interrupted: --resume goes on where the journal ends", file=sys.stderr)
+        return 130
+    score, gain = verdict.result.score, verdict.result.differences["return"]
+    print(f"score {score.value:.3f} ({score.low:.3f} .. {score.high:.3f}) on validation seeds, ")
+    print(f"return {gain.value:+.4f} ({gain.low:+.4f} .. {gain.high:+.4f}) beside the expert's")
+    print(json.dumps(verdict.gains.document(), indent=1))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
