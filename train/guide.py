@@ -10,13 +10,14 @@ from typing import Any, NamedTuple
 from baselines import files
 from baselines.files import Card, Network
 from baselines.registry import USUAL
+from baselines.tuned import GAINS, read
 from formation_env.config import LEVELS
 from train.logs import Curve, Key, order, read_curve
 from train.pictures import picture_name
 from train.shipping import BESIDE, CURVES, GENERALISATION, Transfer, digest, read_transfers, shipped
 
 README, TEMPLATE = Path("train/README.md"), Path("train/README.template.md")
-TUNED = Path("baselines/tuned_gains.json")
+TUNED = Path("baselines") / GAINS.name
 
 _NOTICE = (
     "<!-- Written by `python -m train.cards` from README.template.md, curves/ and the policies that "
@@ -65,10 +66,8 @@ def gather(checkout: Path) -> Facts:
 def _tuned(path: Path) -> dict[str, Any]:
     if not path.exists():
         return {}
-    try:
-        return dict(json.loads(path.read_text(encoding="utf-8"))["gains"])
-    except (ValueError, KeyError, TypeError) as problem:
-        raise ValueError(f"{path}: not a file of gains ({problem})") from None
+    read(path)  # which checks it
+    return dict(json.loads(path.read_text(encoding="utf-8"))["gains"])
 
 
 def pictures(curves: Sequence[Curve]) -> dict[str, list[Curve]]:
@@ -101,8 +100,8 @@ def readme(facts: Facts) -> str:
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]], left: int) -> str:
-    """Markdown; so many columns are aligned left, the others right."""
-    rules = ["---" if i < left else "---:" for i in range(len(head))]
+    """Markdown; so many columns and commands are aligned left, the others right."""
+    rules = ["---" if i < left or x == "command" else "---:" for i, x in enumerate(head)]
     every = [head, rules, *rows]
     # A `|` would end the cell.
     return "\n".join("| " + " | ".join(x.replace("|", "\\|") for x in row) + " |" for row in every)
@@ -110,6 +109,12 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]], left: int) -> str
 
 def _interval(value: float, low: float, high: float) -> str:
     return f"{value:.3f}" if low == high else f"{value:.3f} ({low:.3f} .. {high:.3f})"
+
+
+def _figures(three: Sequence[float | None] | None) -> str:
+    """Value, low and high, of which some may be unknown."""
+    known = [x for x in three or () if x is not None]
+    return _interval(*known) if len(known) == 3 else "-"
 
 
 def _code(command: str) -> str:
@@ -164,12 +169,10 @@ def _tuned_table(tuned: dict[str, Any]) -> str:
     rows = []
     for scenario, levels in tuned.items():
         for action, entry in levels.items():
-            made = entry.get("made") or {}
-            score = made.get("score")
-            first, last = made.get("validation", (0, 0))
-            known = score is not None and None not in score
-            rows.append([scenario, action, f"{first}-{last}", _interval(*score) if known else "-",
-                         _code(made.get("command", ""))])  # fmt: skip
+            made = entry.get("made", {})
+            seeds = "-".join(map(str, made.get("validation", ())))
+            score = _figures(made.get("score"))
+            rows.append([scenario, action, seeds, score, _code(made.get("command", ""))])
     if not rows:
         return "No gains are checked in yet."
     return _table(["scenario", "level", "seeds", "score", "command"], rows, 3)

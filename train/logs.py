@@ -7,6 +7,7 @@ comment, and goes on as the `log.csv` of the run's folder (see `train.evaluation
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 from math import isfinite
 from pathlib import Path
 from typing import NamedTuple
@@ -67,7 +68,7 @@ def read_log(text: str) -> tuple[str, tuple[Row, ...]]:
     rows = tuple(_row(line) for line in lines[1:])
     if not rows:
         raise ValueError("no evaluation in the log: expected at least one")
-    if any(a.steps >= b.steps for a, b in zip(rows, rows[1:], strict=False)):
+    if any(a.steps >= b.steps for a, b in pairwise(rows)):
         raise ValueError("steps do not grow from line to line")
     return command, rows
 
@@ -77,7 +78,7 @@ def _row(line: str) -> Row:
     if len(words) == len(Row._fields):
         steps, *figures, seed = words
         try:
-            row = Row(int(steps), *map(float, figures), seed=int(seed))
+            row = Row._make([int(steps), *map(float, figures), int(seed)])
         except ValueError:
             row = None
         if row is not None and all(isfinite(x) for x in row[:3]):

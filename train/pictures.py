@@ -8,7 +8,7 @@ import os
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,13 +49,35 @@ def digest(curves: Sequence[Curve]) -> str:
     return hashlib.sha256(f"{_VERSION}\n{shown}".encode()).hexdigest()
 
 
-def band(xs: Sequence[Floats], ys: Sequence[Floats]) -> tuple[Floats, Floats, Floats, Floats]:
-    """Where all runs have values: x, and least, mean and largest y, between points in straight lines."""
-    first, last = max(x[0] for x in xs), min(x[-1] for x in xs)
-    every = np.unique(np.concatenate([*xs, [first, last]]))
+class Band(NamedTuple):
+    """Several runs of one method together, at steps that all of them reached."""
+
+    steps: Floats
+    minutes: Floats  # mean over the runs
+    low: Floats  # least score of the runs
+    mean: Floats
+    high: Floats
+
+
+def band(runs: Sequence[Curve]) -> Band:
+    """The runs, in straight lines between their points. Raises `ValueError` if they do not overlap."""
+    steps = [_column(run, "steps") for run in runs]
+    first, last = max(x[0] for x in steps), min(x[-1] for x in steps)
+    if first > last:
+        raise ValueError(
+            f"{', '.join(run.name for run in runs)}: no steps that all of them reached"
+        )
+    every = np.unique(np.concatenate(steps))
     x = every[(first <= every) & (every <= last)]
-    y = np.array([np.interp(x, a, b) for a, b in zip(xs, ys, strict=True)])
-    return x, y.min(axis=0), y.mean(axis=0), y.max(axis=0)
+
+    def at(name: str) -> Floats:
+        columns = [_column(run, name) for run in runs]
+        return np.array([np.interp(x, a, b) for a, b in zip(steps, columns, strict=True)])
+
+    scores = at("score")
+    return Band(
+        x, at("minutes").mean(axis=0), scores.min(axis=0), scores.mean(axis=0), scores.max(axis=0)
+    )
 
 
 def draw(curves: Sequence[Curve], path: Path) -> None:
@@ -69,21 +91,33 @@ def draw(curves: Sequence[Curve], path: Path) -> None:
     from matplotlib.figure import Figure
 
     methods = dict.fromkeys(c.key for c in curves)
+    looks = _looks([key.method for key in methods])
     with matplotlib.rc_context({**matplotlib.rcParamsDefault, **_STYLE, "backend": "agg"}):
-        figure = Figure(figsize=(9.0, 3.6), layout="constrained")
-        FigureCanvasAgg(figure)
-        left, right = figure.subplots(1, 2, sharey=True)
-        looks = _looks([key.method for key in methods])
+        figure = Figure(figsize=(9.0, 3.9), dpi=100, layout="constrained")
+        canvas = FigureCanvasAgg(figure)
+        axes = figure.subplots(1, 2, sharey=True)
         for key in methods:
-            runs = [c for c in curves if c.key == key]
-            _line(left, runs, [_column(c, "steps") / 1e6 for c in runs], looks[key.method])
-            _line(right, runs, [_column(c, "minutes") for c in runs], looks[key.method])
-        _finish(left, right, curves)
-        png = io.BytesIO()
-        figure.savefig(
-            png, dpi=100, format="png", metadata={"Software": None, "Source": digest(curves)}
-        )
-    _write(path, png.getvalue())
+            _line(axes, [c for c in curves if c.key == key], looks[key.method])
+        _finish(axes, curves)
+        lines, labels = axes[0].get_legend_handles_labels()
+        figure.legend(lines, labels, loc="outside lower center", ncols=min(len(lines), 5))
+        canvas.draw()  # type: ignore[no-untyped-call]
+    _write(path, _png(canvas, digest(curves)))
+
+
+def _png(canvas: Any, source: str) -> bytes:
+    """The picture in 256 colours, which makes it small; they are the lines' to within one step."""
+    from PIL import Image, PngImagePlugin
+
+    size = canvas.get_width_height()
+    image = Image.frombuffer("RGBA", size, bytes(canvas.buffer_rgba()), "raw", "RGBA", 0, 1)
+    few = image.convert("RGB").quantize(
+        256, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE
+    )
+    text, data = PngImagePlugin.PngInfo(), io.BytesIO()
+    text.add_text("Source", source)
+    few.save(data, "PNG", optimize=True, pnginfo=text)
+    return data.getvalue()
 
 
 def _looks(methods: Sequence[str]) -> dict[str, tuple[str, str]]:
@@ -95,15 +129,14 @@ def _column(curve: Curve, name: str) -> Floats:
     return np.array([getattr(row, name) for row in curve.rows], dtype=np.float64)
 
 
-def _line(ax: Any, runs: Sequence[Curve], xs: list[Floats], look: tuple[str, str]) -> None:
-    """One method: mean over its runs, from the least to the largest shaded, and how far each went."""
-    colour, mark = look
-    scores = [_column(run, "score") for run in runs]
-    x, low, middle, high = band(xs, scores)
+def _line(axes: Any, runs: Sequence[Curve], look: tuple[str, str]) -> None:
+    """One method: mean over its runs, and from the worst to the best shaded."""
+    (colour, mark), b = look, band(runs)
     number = "1 seed" if len(runs) == 1 else f"{len(runs)} seeds"
-    ax.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0.0)
-    ax.plot(x, middle, color=colour, linewidth=1.5, marker=mark, markersize=5.0,
-            markevery=max(1, len(x) // 6), label=f"{runs[0].key.method} ({number})")  # fmt: skip
+    for ax, x in zip(axes, (b.steps / 1e6, b.minutes), strict=True):
+        ax.fill_between(x, b.low, b.high, color=colour, alpha=0.2, linewidth=0.0)
+        ax.plot(x, b.mean, color=colour, linewidth=1.5, marker=mark, markersize=5.0,
+                markevery=max(1, len(x) // 6), label=f"{runs[0].key.method} ({number})")  # fmt: skip
 
 
 def stretch(y: Floats) -> Floats:
@@ -115,23 +148,21 @@ def _unstretch(y: Floats) -> Floats:
     return np.where(y > _NEAR, _NEAR + (y - _NEAR) / _STRETCH, y)
 
 
-def _finish(left: Any, right: Any, curves: Sequence[Curve]) -> None:
+def _finish(axes: Any, curves: Sequence[Curve]) -> None:
+    """What does not depend on the method."""
     scores = np.array([row.score for c in curves for row in c.rows])
     top = max(1.05, float(scores.max()) + 0.02)
     bottom = max(_FLOOR, min(-0.05, float(scores.min()) - 0.05))
-    left.set_yscale("function", functions=(stretch, _unstretch))
-    left.set_yticks([y for y in _TICKS if bottom <= y <= top], minor=False)
-    left.set_ylim(bottom, top)
-    for ax, label in ((left, "agent steps, millions"), (right, "minutes of training")):
-        ax.axhline(1.0, color="#222222", linewidth=1.0, linestyle="--")
+    axes[0].set_yscale("function", functions=(stretch, _unstretch))
+    axes[0].set_yticks([y for y in _TICKS if bottom <= y <= top], minor=False)
+    axes[0].set_ylim(bottom, top)
+    for ax, label in zip(axes, ("agent steps, millions", "minutes of training"), strict=True):
+        ax.axhline(1.0, color="#222222", linewidth=1.0, linestyle="--", label="expert")
         ax.set_xlabel(label)
         ax.set_xlim(left=0.0)
-    left.set_ylabel("score")
-    left.annotate("expert", (1.0, 1.0), xycoords=("axes fraction", "data"), xytext=(-2, 3),
-                  textcoords="offset points", ha="right", fontsize=8.5)  # fmt: skip
+    axes[0].set_ylabel("score")
     key = curves[0].key
-    left.set_title(f"{key.scenario}, {key.action}", loc="left", fontsize=9.5)
-    right.legend(loc="lower right")
+    axes[0].set_title(f"{key.scenario}, {key.action}", loc="left", fontsize=9.5)
 
 
 def _write(path: Path, data: bytes) -> None:
