@@ -215,7 +215,10 @@ def test_scenarios_at_other_levels(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--policies", "expert,best"], "'best': expected some of expert, pd, hover, random"),
+        (
+            ["--policies", "expert,best"],
+            "'best': expected some of expert, expert-tuned, pd, hover, random",
+        ),
         (["--policies", "mine.safetensors"], "mine.safetensors: cannot be read: No such file"),
         (["--policies", ""], "'': expected some of"),
         (["--scenarios", "windy"], "'windy': expected some of nominal, paper"),

@@ -41,7 +41,8 @@ def test_names_lead_to_policies() -> None:
     for name in ("expert", "expert-tuned", "pd", "hover", "random"):
         assert make_policy(name, config).name == name
     with pytest.raises(
-        ValueError, match="'best': expected one of 'expert', 'expert-tuned', 'pd', 'hover', 'random', 'ppo'"
+        ValueError,
+        match="'best': expected one of 'expert', 'expert-tuned', 'pd', 'hover', 'random', 'ppo'",
     ):
         make_policy("best", config)
 

@@ -16,7 +16,8 @@ from baselines.tuned import lawful, own, read
 from formation_env import SCENARIOS, configure
 from train import tune_expert
 from train.gain_space import PLANNER, REACH, GainSpace
-from train.tune_expert import Candidate, Options, Search, main, search
+from train.search import Candidate, Search, search
+from train.tune_expert import Options, main
 
 TINY = ["--episodes", "4", "--evaluations", "36", "--validation", "8", "--finalists", "3"]
 TINY += ["--threads", "2", "--quiet"]
@@ -127,7 +128,9 @@ def test_a_small_search_improves_detuned_gains(
     assert main([*TINY, "--output", f"{tmp_path / 'a'}", "--gains", f"{gains}"]) == 0
     made = json.loads(gains.read_text())["gains"]["nominal"]["wrench"]["made"]
     assert made["score"][1] > 1.0 and made["return_minus_expert"][1] > 0.0
-    assert made["seed"] == 1 and made["command"].startswith("python -m train.tune_expert --episodes 4 ")
+    assert made["seed"] == 1 and made["command"].startswith(
+        "python -m train.tune_expert --episodes 4 "
+    )
     assert list(read(gains)) == [("nominal", "wrench")]
 
     # Stopped in the midst of the second choice of feedforward.

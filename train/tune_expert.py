@@ -18,14 +18,13 @@ import os
 import shlex
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 import formation_env
 from baselines import make_policy
@@ -37,7 +36,8 @@ from baselines.scoring import Result, judge
 from baselines.tuned import FEEDFORWARDS, VERSION, ExpertTuned, Gains, own, read
 from formation_env import FormationConfig, configure
 from formation_env.checks import integer, number, require
-from train.gain_space import REACH, GainSpace
+from train.gain_space import GainSpace
+from train.search import Candidate, Search, search
 
 PROGRAM = "train.tune_expert"
 
@@ -46,8 +46,6 @@ TRAINING, VALIDATION, _MOST = 100_000, 200_000, 100_000
 
 _WORST = -1e3  # the return of gains with which the law leaves the range of numbers
 _EVERY = 5.0  # s between two writings of the journal
-
-Point = NDArray[np.float64]
 
 
 @final
@@ -63,7 +61,7 @@ class Options:
     """Third and fourth derivatives of the reference: zero, derived, or both tried."""
     episodes: int = 64
     """Training seeds, the same for every candidate."""
-    evaluations: int = 4000
+    evaluations: int = 2000
     """Candidates flown in all, shared between what is tried of feedforward."""
     validation: int = 256
     """Validation seeds."""
@@ -127,93 +125,6 @@ def _return(policy: Policy, seeds: range) -> float:
             raise
         return _WORST  # the law overflowed and the simulation refused its action
     return value if np.isfinite(value) else _WORST
-
-
-# -- the search -----------------------------------------------------------------------------------
-
-
-class Candidate(NamedTuple):
-    """A point of the gain space that has been flown."""
-
-    x: tuple[float, ...]
-    feedforward: str
-    value: float  # mean return on the training seeds
-
-
-class Search(NamedTuple):
-    """One search at a time: its space, how it is driven, and where its results go."""
-
-    space: GainSpace
-    value: Callable[[Sequence[Gains]], list[float]]  # mean returns
-    told: Callable[[str, Sequence[Candidate]], None]  # after every generation
-    spread: float
-    seed: int
-
-
-def search(s: Search, feedforward: str, budget: int, known: Sequence[float]) -> None:
-    """CMA-ES from the own gains with `budget` candidates, the first of them the own gains.
-
-    Where it has converged before, it starts again with twice as many candidates a generation (IPOP).
-    `known` are the values of the first candidates, from a journal: they are not flown again.
-    """
-    rng = np.random.default_rng((s.seed, FEEDFORWARDS.index(feedforward)))
-    known, left = list(known), budget
-    own_point = np.zeros(len(s.space.names))
-    left -= _generation(s, feedforward, [own_point], known)
-    larger = 1
-    while left > 0:
-        strategy = _strategy(s, rng, larger)
-        while left > 0 and not strategy.stop():
-            points = strategy.ask()[: max(left, 0)]
-            full = len(points) == strategy.popsize
-            values: list[float] = []
-            left -= _generation(s, feedforward, points, known, values)
-            if full:  # what is cut off by the budget is the last generation
-                strategy.tell(points, [-v for v in values])
-        larger *= 2
-
-
-def _strategy(s: Search, rng: np.random.Generator, larger: int) -> Any:
-    import cma
-
-    dimension = len(s.space.names)
-    options = {
-        "bounds": [-REACH, REACH],
-        "popsize": larger * (4 + int(3 * np.log(dimension))),
-        # Its own stream: nothing is drawn from NumPy's global state.
-        "seed": np.nan,
-        "randn": lambda *shape: rng.standard_normal(shape),
-        "tolfun": 1e-7,  # below it two returns are alike
-        "tolx": 1e-4,
-        "verbose": -10,  # and reads no file of signals
-        "verb_log": 0,
-        "verb_disp": 0,
-    }
-    return cma.CMAEvolutionStrategy(np.zeros(dimension), s.spread, options)
-
-
-def _generation(
-    s: Search,
-    feedforward: str,
-    points: Sequence[Point],
-    known: list[float],
-    values: list[float] | None = None,
-) -> int:
-    """Fly the points, or take their values from `known`; returns how many there were."""
-    old = known[: len(points)]
-    del known[: len(points)]
-    new = s.value([s.space.gains(x, feedforward) for x in points[len(old) :]])
-    both = [*old, *new]
-    s.told(
-        feedforward,
-        [
-            Candidate(tuple(map(float, x)), feedforward, value)
-            for x, value in zip(points, both, strict=True)
-        ],
-    )
-    if values is not None:
-        values += both
-    return len(points)
 
 
 # -- the journal ----------------------------------------------------------------------------------
