@@ -11,6 +11,7 @@ from baselines import files
 from baselines.files import Card, Network
 from baselines.registry import USUAL
 from baselines.tuned import GAINS, read
+from formation_env import SCENARIOS
 from formation_env.config import LEVELS
 from train.logs import Curve, Key, order, read_curve
 from train.pictures import picture_name
@@ -167,8 +168,9 @@ def _effort(each: Shipped | None, runs: Sequence[Curve]) -> list[str]:
 
 def _tuned_table(tuned: dict[str, Any]) -> str:
     rows = []
-    for scenario, levels in tuned.items():
-        for action, entry in levels.items():
+    for scenario in (name for name in SCENARIOS if name in tuned):
+        for action in (level for level in LEVELS if level in tuned[scenario]):
+            entry = tuned[scenario][action]
             made = entry.get("made", {})
             seeds = "-".join(map(str, made.get("validation", ())))
             score = _figures(made.get("score"))

@@ -39,7 +39,8 @@ _STYLE: Any = {
 _FLOOR = -0.25  # of the axis: worse than hover is not told apart
 # Above this a step on the axis is so many times as large: who is near the expert is told apart there.
 _NEAR, _STRETCH = 0.9, 4.0
-_TICKS = (-0.25, 0.0, 0.25, 0.5, 0.75, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2)
+_TICKS = (-0.25, 0.0, 0.25, 0.5, 0.75, 0.9)
+_FINE, _COARSE = (0.95, 1.0, 1.05, 1.1, 1.15, 1.2), (1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0)
 _VERSION = 1  # of the drawing
 
 
@@ -154,7 +155,8 @@ def _finish(axes: Any, curves: Sequence[Curve]) -> None:
     top = max(1.05, float(scores.max()) + 0.02)
     bottom = max(_FLOOR, min(-0.05, float(scores.min()) - 0.05))
     axes[0].set_yscale("function", functions=(stretch, _unstretch))
-    axes[0].set_yticks([y for y in _TICKS if bottom <= y <= top], minor=False)
+    ticks = (*_TICKS, *(_FINE if top < 1.25 else _COARSE))
+    axes[0].set_yticks([y for y in ticks if bottom <= y <= top], minor=False)
     axes[0].set_ylim(bottom, top)
     for ax, label in zip(axes, ("agent steps, millions", "minutes of training"), strict=True):
         ax.axhline(1.0, color="#222222", linewidth=1.0, linestyle="--", label="expert")
