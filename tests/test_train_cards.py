@@ -1,0 +1,298 @@
+"""The guide to training: made from what is checked in, the same every time, and never stale."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from baselines import files
+from baselines.files import Card, Network
+from formation_env import configure
+from train import cards, guide, shipping
+from train.evaluation import Row, to_csv
+from train.logs import Curve, Key, read_curve, read_log, thinned, to_text
+
+CONFIG = configure("nominal")
+
+
+def row(steps: int, score: float, seed: int = 3) -> Row:
+    return Row(steps, steps / 1e6, score, score - 0.01, score + 0.01, 2.0 * score, 0.1, 0.0, seed)
+
+
+def rows_of(count: int, best: int) -> tuple[Row, ...]:
+    return tuple(row(1000 * i, 2.0 if i == best else 1.0 - math.exp(-i / 30)) for i in range(count))
+
+
+def policy(scale: float = 0.1, entries: int = CONFIG.layout.size, hidden: int = 8) -> Network:
+    rng = np.random.default_rng(5)
+    sizes = [entries, hidden, CONFIG.action_size]
+    weights = tuple(
+        (scale * rng.standard_normal((b, a))).astype(np.float32) for a, b in pairwise(sizes)
+    )
+    zeros = np.zeros(entries, np.float32)
+    return Network(weights, tuple(np.zeros(len(w), np.float32) for w in weights), zeros, zeros + 1)
+
+
+def card(**given: object) -> Card:
+    usual: dict[str, object] = {
+        "action": "wrench",
+        "entries": CONFIG.layout.size,
+        "action_size": 4,
+        "scenario": "nominal",
+        "method": "ppo",
+        "command": "python -m train.ppo --seed 3",
+        "seed": 3,
+        "steps": 5000,
+        "score": {"nominal": [0.5, 0.4, 0.6]},
+    }
+    return Card(**{**usual, **given})  # type: ignore[arg-type]
+
+
+def a_run(folder: Path, made: Card | None = None, network: Network | None = None) -> Path:
+    folder.mkdir()
+    files.save(folder / "best.safetensors", made or card(), network or policy())
+    (folder / "log.csv").write_text(to_csv(list(rows_of(6, 3))))
+    return folder
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+@pytest.fixture
+def checkout(tmp_path: Path, root: Path) -> Path:
+    """With the real template and nothing else."""
+    folder = tmp_path / "checkout"
+    (folder / "train").mkdir(parents=True)
+    (folder / "baselines").mkdir()
+    shutil.copy(root / guide.TEMPLATE, folder / guide.TEMPLATE)
+    return folder
+
+
+def main(checkout: Path, *words: object) -> int:
+    return cards.main([*map(str, words), "--checkout", str(checkout), "--threads", "1"])
+
+
+def refused(checkout: Path, capsys: pytest.CaptureFixture[str], names: str, *words: object) -> None:
+    """One line on stderr, status 2, nothing changed."""
+    before = contents(checkout)
+    with pytest.raises(SystemExit) as end:
+        main(checkout, *words)
+    message = capsys.readouterr().err
+    assert end.value.code == 2 and message.count("\n") == 1, message
+    assert names in message
+    assert contents(checkout) == before
+
+
+# -- what is checked in here ----------------------------------------------------------------------
+
+
+def test_the_guide_is_the_one_that_the_script_makes(root: Path) -> None:
+    assert (root / guide.README).read_text(encoding="utf-8") == guide.readme(guide.gather(root)), (
+        "run python -m train.cards"
+    )
+
+
+def test_the_pictures_show_the_curves_that_are_checked_in(root: Path) -> None:
+    from train.pictures import digest
+
+    for name, curves in guide.pictures(guide.gather(root).curves).items():
+        data = (root / shipping.CURVES / name).read_bytes()
+        assert digest(curves).encode() in data, f"{name}: run python -m train.cards"
+        assert len(data) < 60_000
+
+
+def test_generalisation_is_of_the_policies_that_ship(root: Path) -> None:
+    assert guide.gather(root).stale == [], "run python -m train.cards --generalise"
+
+
+def test_what_ships_is_small_and_where_it_says(root: Path) -> None:
+    for key, path in shipping.shipped(root):
+        made, _ = files.load(path)
+        assert path.stat().st_size <= shipping.MOST
+        assert (made.scenario, made.action) == (key.scenario, key.action)
+        assert key.scenario in made.score
+
+
+# -- curves ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("count", "best"), [(7, 2), (60, 59), (61, 30), (1000, 0), (1000, 517)])
+def test_thinning_keeps_first_last_and_best(count: int, best: int) -> None:
+    rows = rows_of(count, best)
+    kept = thinned(rows)
+    assert len(kept) == min(count, len(kept)) <= 60
+    assert {rows[0], rows[-1], rows[best]} <= set(kept)
+    assert list(kept) == [r for r in rows if r in set(kept)]
+    widest = max(b.steps - a.steps for a, b in pairwise(kept))
+    assert widest <= 1000 * math.ceil((count - 1) / min(count - 1, 58))
+
+
+def test_a_curve_is_read_back_as_written(tmp_path: Path) -> None:
+    curve = Curve(Key("paper", "rates", "bc-ppo"), 3, "python -m train.ppo", (row(10, 0.25),))
+    path = tmp_path / curve.name
+    path.write_text(to_text(curve))
+    assert read_curve(path) == Curve(*curve[:3], (row(10, 0.25)._replace(minutes=0.0),))
+    assert path.name == "bc-ppo-paper-rates-3.csv"
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("", "begins with steps,minutes"),
+        (to_csv([]), "no evaluation"),
+        (to_csv([row(2, 0.5), row(1, 0.5)]), "do not grow"),
+        (to_csv([row(1, math.nan)]), "nan"),
+        (to_csv([row(1, 0.5)]) + "2,0.1\n", "'2,0.1'"),
+    ],
+)
+def test_a_log_that_is_not_one_is_refused(text: str, names: str) -> None:
+    with pytest.raises(ValueError, match=names):
+        read_log(text)
+
+
+def test_runs_are_averaged_where_all_have_been() -> None:
+    """Two straight lines: at every step the mean, the lower and the upper one, as by hand."""
+    from train.pictures import band
+
+    key = Key("nominal", "wrench", "ppo")
+    one = Curve(key, 0, "", (row(0, 0.0), row(100, 1.0)))
+    two = Curve(key, 1, "", (row(20, 0.4), row(60, 0.8), row(120, 0.2)))
+    b = band([one, two])
+    assert b.steps.tolist() == [20, 60, 100]
+    np.testing.assert_allclose(b.low, [0.2, 0.6, 0.4], atol=1e-12)
+    np.testing.assert_allclose(b.high, [0.4, 0.8, 1.0], atol=1e-12)
+    np.testing.assert_allclose(b.mean, [0.3, 0.7, 0.7], atol=1e-12)
+    with pytest.raises(ValueError, match=r"ppo-nominal-wrench-1\.csv"):
+        band([one, Curve(key, 1, "", (row(200, 0.4),))])
+
+
+# -- the whole way --------------------------------------------------------------------------------
+
+
+def test_a_run_becomes_a_policy_a_curve_and_a_page(checkout: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    run = shipping.open_run(a_run(tmp_path / "run"))
+    result = shipping.scored(run, 2, 1)
+    shipping.ship(run, result.score, checkout)
+    assert main(checkout, "--curve", tmp_path / "run", "--method", "rllib-ppo") == 0
+    made, network = files.load(checkout / "baselines/policies/ppo-nominal-wrench.safetensors")
+    assert made.score["nominal"] == pytest.approx(result.score[:3], abs=1e-5)
+    assert result.score.value < 0.5, "flown, not taken from the card it came with"
+    np.testing.assert_array_equal(network.weights[0], policy().weights[0])
+
+    assert main(checkout) == 0
+    first = contents(checkout)
+    assert main(checkout) == 0
+    assert contents(checkout) == first
+    text = first["train/README.md"].decode()
+    assert f"{result.score.value:.3f}" in text and "`rllib-ppo` | - | 2.000, 1 seed" in text
+    assert "`python -m train.ppo --seed 3`" in text and "48-8-4 tanh" in text
+    assert "curves/nominal-wrench.png" in text
+
+
+def test_generalisation_tells_its_policies_apart_from_later_ones(
+    checkout: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shipping, "tasks", lambda action: {"nominal": CONFIG})
+    run = shipping.open_run(a_run(tmp_path / "run"))
+    shipping.ship(run, shipping.Estimate(0.5, 0.4, 0.6, 2), checkout)
+    text = shipping.transfers_text(shipping.transfers(checkout, 1, episodes=2))
+    (checkout / shipping.GENERALISATION).write_text(text)
+    facts = guide.gather(checkout)
+    assert [t.policy for t in facts.transfers] == ["expert", "pd", "ppo"]
+    assert facts.transfers[0].score == 1.0 and facts.stale == []
+    assert "| nominal | 1.000 |" in guide.readme(facts)
+    shipping.ship(run, shipping.Estimate(0.6, 0.4, 0.7, 2), checkout)
+    facts = guide.gather(checkout)
+    assert [t.policy for t in facts.transfers] == ["expert", "pd"]
+    assert facts.stale == ["ppo-nominal-wrench.safetensors"]
+
+
+def test_the_tasks_are_others_than_the_one_trained_on() -> None:
+    for action in ("wrench", "reference"):
+        tasks = shipping.tasks(action)
+        assert {config.action for config in tasks.values()} == {action}
+        assert len({(c.scenario, c.offsets) for c in tasks.values()}) == len(tasks) == 8
+
+
+# -- refusals -------------------------------------------------------------------------------------
+
+
+def test_ship_refuses_what_is_no_finished_run(
+    checkout: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = a_run(tmp_path / "run")
+    refused(checkout, capsys, "no best.safetensors", "--ship", tmp_path / "nowhere")
+    (run / "log.csv").write_text("steps\n1\n")
+    refused(checkout, capsys, "log.csv: expected a log", "--ship", run)
+    (run / "log.csv").write_text(to_csv([row(1, 0.5, seed=4)]))
+    refused(checkout, capsys, "seed 4", "--ship", run)
+    (run / "log.csv").unlink()
+    refused(checkout, capsys, "no log.csv", "--ship", run)
+    (run / "log.csv").write_text(to_csv([row(1, 0.5)]))
+    (run / "best.safetensors").write_bytes(b"not a policy")
+    refused(checkout, capsys, "best.safetensors: not a whole", "--ship", run)
+
+
+def test_ship_refuses_a_policy_that_does_not_fit_or_is_too_large(
+    checkout: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = a_run(tmp_path / "short", card(entries=7), policy(entries=7))
+    refused(checkout, capsys, "observation entries", "--ship", short)
+    odd = a_run(tmp_path / "odd", card(scenario="elsewhere"))
+    refused(checkout, capsys, "'elsewhere'", "--ship", odd)
+    unknown = a_run(tmp_path / "unknown", card(method="dagger-ppo"))
+    refused(checkout, capsys, "'dagger-ppo'", "--ship", unknown)
+    large = a_run(tmp_path / "large", None, policy(hidden=6000))
+    refused(checkout, capsys, "bytes: expected at most", "--ship", large)
+
+
+def test_wrong_options_and_folders_are_refused(
+    checkout: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = a_run(tmp_path / "run")
+    refused(checkout, capsys, "--method", "--method", "ppo")
+    refused(checkout, capsys, "--method", "--ship", run, "--method", "../ppo")
+    refused(checkout, capsys, "no policy of 'nominal'", "--generalise")
+    refused(tmp_path / "run", capsys, "expected a checkout", "--curve", run)
+    refused(checkout, capsys, "no best", "--curve", run, tmp_path / "nowhere")
+    (checkout / shipping.CURVES).mkdir(parents=True)
+    (checkout / shipping.CURVES / "mine.csv").write_text(to_csv([row(1, 0.5)]))
+    refused(checkout, capsys, "mine.csv: expected a name")
+    (checkout / shipping.CURVES / "mine.csv").unlink()
+    (checkout / shipping.GENERALISATION).write_text("task\nnominal\n")
+    refused(checkout, capsys, "generalisation.csv: not what")
+    (checkout / shipping.GENERALISATION).unlink()
+    template = checkout / guide.TEMPLATE
+    template.write_text(template.read_text(encoding="utf-8").replace("<!-- cards -->", ""))
+    refused(checkout, capsys, "<!-- cards -->")
+
+
+def test_a_missing_extra_is_named(
+    checkout: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    refused(checkout, capsys, 'pip install "formation-env[plot]"')
+
+
+def test_a_full_disk_leaves_the_earlier_page(
+    checkout: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("matplotlib")
+    assert main(checkout) == 0
+    before = contents(checkout)
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.replace", full)
+    assert main(checkout) == 1
+    assert "No space left" in capsys.readouterr().err
+    assert contents(checkout) == before
