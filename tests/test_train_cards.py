@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+import shlex
 import shutil
 import sys
 from itertools import pairwise
@@ -120,6 +122,45 @@ def test_what_ships_is_small_and_where_it_says(root: Path) -> None:
         assert key.scenario in made.score
 
 
+# -- the text -------------------------------------------------------------------------------------
+
+
+def test_the_program_flies_a_policy_of_ones_own(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (program,) = re.findall(r"^```python\n(.*?)^```$", template(root), re.MULTILINE | re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "runs").mkdir()
+    a_run(tmp_path / "runs/ppo")
+    exec(compile(program, "train/README", "exec"), {"__name__": "__main__"})
+    assert capsys.readouterr().out.startswith("return ")
+
+
+@pytest.mark.parametrize("module", ["ppo", "imitate", "tune_expert", "rllib_options"])
+def test_the_options_in_the_commands_exist(root: Path, module: str) -> None:
+    tyro = pytest.importorskip("tyro")
+    options = pytest.importorskip(f"train.{'options' if module == 'ppo' else module}").Options
+    found = re.findall(
+        rf"^python -m train\.{module.partition('_o')[0]} (.*)$", template(root), re.M
+    )
+    assert found
+    for words in found:
+        given = tyro.cli(options, args=shlex.split(words))
+        if hasattr(given, "check"):
+            given.check()
+
+
+def test_the_policies_in_the_commands_are_made_by_earlier_commands(root: Path) -> None:
+    text = template(root)
+    for found in re.finditer(r"runs/[\w-]+/best\.safetensors", text):
+        folder = found[0].rpartition("/")[0]
+        assert f"--output {folder} " in text[: found.start()], found[0]
+
+
+def template(root: Path) -> str:
+    return (root / guide.TEMPLATE).read_text(encoding="utf-8")
+
+
 # -- curves ---------------------------------------------------------------------------------------
 
 
@@ -176,12 +217,15 @@ def test_runs_are_averaged_where_all_have_been() -> None:
 # -- the whole way --------------------------------------------------------------------------------
 
 
-def test_a_run_becomes_a_policy_a_curve_and_a_page(checkout: Path, tmp_path: Path) -> None:
+def test_a_run_becomes_a_policy_a_curve_and_a_page(
+    checkout: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     pytest.importorskip("matplotlib")
-    run = shipping.open_run(a_run(tmp_path / "run"))
-    result = shipping.scored(run, 2, 1)
-    shipping.ship(run, result.score, checkout)
-    assert main(checkout, "--curve", tmp_path / "run", "--method", "rllib-ppo") == 0
+    run = a_run(tmp_path / "run")
+    assert cards._ship(run, None, checkout, 1, episodes=2) == 0
+    result = shipping.scored(shipping.open_run(run), 2, 1)
+    assert f"score {result.score.value:.3f} (" in capsys.readouterr().out
+    assert main(checkout, "--curve", run, "--method", "rllib-ppo") == 0
     made, network = files.load(checkout / "baselines/policies/ppo-nominal-wrench.safetensors")
     assert made.score["nominal"] == pytest.approx(result.score[:3], abs=1e-5)
     assert result.score.value < 0.5, "flown, not taken from the card it came with"
