@@ -156,6 +156,18 @@ class Expert(Policy):
         self._fresh = False
         return actions.reshape(worlds, n, -1)
 
+    def get_state(self) -> dict[str, NDArray[Any]]:
+        """What it remembers of the worlds of the last reset, as copies of arrays by name."""
+        return {"memory": self._memory.copy()}
+
+    def set_state(self, state: dict[str, NDArray[Any]]) -> None:
+        """Continue from what `get_state` returned for as many worlds; `ValueError` otherwise."""
+        memory = state.get("memory")
+        if memory is None or memory.shape != self._memory.shape:
+            found = "missing" if memory is None else memory.shape
+            raise ValueError(f"state['memory'] is {found}: expected {self._memory.shape}")
+        self._memory, self._fresh = memory.copy(), True
+
     @property
     def record(self) -> dict[str, Floats]:
         """Errors and virtual followers at the last decision, `(worlds, followers, ...)` each; needs

@@ -1,0 +1,66 @@
+"""How good a policy is while it learns, by the leaderboard's own metrics on seeds of its own."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, final
+
+import numpy as np
+
+from baselines.expert import Expert
+from baselines.files import Card, Network
+from baselines.intervals import Estimate, estimate, normalised
+from baselines.learned import Learned
+from baselines.policy import Policy
+from baselines.rollout import Episodes, chunks, fly
+from baselines.simple import Hover
+from formation_env import FormationConfig
+
+# First seeds: the leaderboard's begin at 0; nobody has a million of any.
+EVALUATION_SEEDS = 1_000_000
+TRAINING_SEEDS = 10_000_000
+
+
+class Row(NamedTuple):
+    """One line of the log."""
+
+    steps: int  # agent steps
+    minutes: float  # of wall time, evaluations included
+    score: float  # 0 as hover, 1 as the expert
+    low: float  # and its 95 % interval
+    high: float
+    mean_return: float
+    slot_error_rms: float  # m
+    failed: float  # part of the episodes
+    seed: int  # of the run
+
+
+HEADER = "steps,minutes,score,low,high,return,slot_error_rms,failed,seed\n"
+
+
+def to_csv(rows: list[Row]) -> str:
+    """The log as a file."""
+    return HEADER + "".join(
+        f"{r.steps},{r.minutes:.3f},{r.score:.5f},{r.low:.5f},{r.high:.5f},"
+        f"{r.mean_return:.5f},{r.slot_error_rms:.5f},{r.failed:.4f},{r.seed}\n"
+        for r in rows
+    )
+
+
+@final
+class Judge:
+    """Flies `episodes` episodes of a configuration; hover and the expert fly them once."""
+
+    def __init__(self, config: FormationConfig, episodes: int) -> None:
+        self.config, self.episodes = config, episodes
+        self._hover = self._fly(Hover(config))["return"]
+        self._expert = self._fly(Expert(config))["return"]
+
+    def _fly(self, policy: Policy) -> Episodes:
+        groups = chunks(EVALUATION_SEEDS, self.episodes, self.config.followers)
+        parts = [fly(policy, seeds) for seeds in groups]
+        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+    def judge(self, card: Card, network: Network) -> tuple[Estimate, Episodes]:
+        """The normalised score with its interval, and the metrics of every episode."""
+        columns = self._fly(Learned(self.config, (card, network)))
+        return estimate(normalised, columns["return"], self._hover, self._expert), columns

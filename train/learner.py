@@ -1,0 +1,352 @@
+"""One run of PPO: made from options or from a checkpoint, trained, saved."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from math import log
+from pathlib import Path
+from time import perf_counter
+from typing import Any, final
+
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import configure as configure_logger
+
+import formation_env
+from baselines import files
+from baselines.files import Card, Network
+from train import checkpoint
+from train.callbacks import Diary, Keeper, shares
+from train.evaluation import TRAINING_SEEDS, Judge, Row
+from train.export import adopt, hidden_sizes, network
+from train.networks import CLIP, FollowerPolicy, Spread, fixed_scales, state_scales
+from train.options import FINE, STD, Options, command, continued, to_json
+from train.vec import FollowerVecEnv
+
+RESIDUAL_STD = 0.3  # of the exploration, as part of the bound
+
+
+@final
+class Learner(PPO):
+    """PPO that can let the critic learn alone at first, and that keeps time."""
+
+    seconds = 0.0  # in updates
+    alone_until = 0  # agent steps
+
+    policy: FollowerPolicy
+
+    def train(self) -> None:
+        """One update."""
+        begun = perf_counter()
+        alone = self.num_timesteps <= self.alone_until
+        for parameter in self.policy.actor_parameters():
+            parameter.requires_grad_(not alone)
+        super().train()
+        self.seconds += perf_counter() - begun
+
+
+@final
+class Run:
+    """A run that is ready to train; see `prepare`."""
+
+    def __init__(
+        self, options: Options, method: str, source: tuple[Card, Network] | None = None
+    ) -> None:
+        self.options, self._method = options, method
+        torch.set_num_threads(options.threads)
+        self.env = _environment(options)
+        self.model = _model(options, self.env, source)
+        self.policy = self.model.policy
+        self.entries = self.env.entries
+        self.spread = Spread(self.env.config.layout)
+        self.diary = Diary([], 0.0, 0)
+        self.judge = Judge(options.config(), options.episodes)
+        self._keeper: Keeper | None = None
+        self._total = 0.0
+
+    # -- files ------------------------------------------------------------------------------------
+
+    def made(self) -> tuple[Card, Network]:
+        """The policy as it is, with its card."""
+        o, config = self.options, self.env.config
+        minutes = self._keeper.minutes if self._keeper else 0.0
+        rows = self._keeper.rows if self._keeper else []
+        now = {}
+        if rows and rows[-1].steps == self.model.num_timesteps:
+            now = {o.scenario: [rows[-1].score, rows[-1].low, rows[-1].high]}
+        card = Card(
+            action=config.action,
+            entries=self.entries,
+            action_size=config.action_size,
+            scenario=o.scenario,
+            method=self._method,
+            activation=o.activation,
+            history=o.history,
+            residual=o.residual,
+            clip=CLIP,
+            command=command(o),
+            seed=o.seed,
+            steps=int(self.model.num_timesteps),
+            minutes=minutes,
+            package=formation_env.__version__,
+            score=now,
+        )
+        return card, network(self.policy, self.entries)
+
+    def save(self, diary: Diary) -> None:
+        """Write the checkpoint."""
+        facts, arrays = checkpoint.random_state()
+        groups = {
+            "random": arrays,
+            "environment": self.env.get_state(),
+            "policy": {k: v.numpy() for k, v in self.policy.state_dict().items()},
+            "optimiser": checkpoint.optimiser_state(self.policy.optimizer),
+            "spread": {name: getattr(self.spread, name) for name in ("count", "mean", "square")},
+            "last": {"obs": self.model._last_obs, "starts": self.model._last_episode_starts},
+        }
+        flat = {f"{g}/{name}": x for g, part in groups.items() for name, x in part.items()}
+        checkpoint.save(
+            self.options.output / checkpoint.NAME,
+            {
+                "options": to_json(self.options),
+                "method": self._method,
+                "steps": int(self.model.num_timesteps),
+                "updates": int(self.model._n_updates),
+                "random": facts,
+                "rows": [list(row) for row in diary.rows],
+                "minutes": diary.minutes,
+                "next_evaluation": diary.next_evaluation,
+            },
+            flat,
+        )
+
+    def restore(self, facts: dict[str, Any], arrays: checkpoint.Arrays) -> None:
+        """Take back what `save` wrote."""
+        part = {name: checkpoint.group(arrays, name) for name in _GROUPS}
+        self.env.set_state(part["environment"])
+        self.policy.load_state_dict({k: torch.from_numpy(v) for k, v in part["policy"].items()})
+        checkpoint.restore_optimiser(self.policy.optimizer, part["optimiser"])
+        for name, x in part["spread"].items():
+            setattr(self.spread, name, x)
+        self.model._last_obs = part["last"]["obs"]
+        self.model._last_episode_starts = part["last"]["starts"]
+        self.model.num_timesteps, self.model._n_updates = facts["steps"], facts["updates"]
+        rows = [Row(*row) for row in facts["rows"]]
+        self.diary = Diary(rows, facts["minutes"], facts["next_evaluation"])
+        checkpoint.restore_random(facts["random"], part["random"])
+
+    # -- training ---------------------------------------------------------------------------------
+
+    def train(self, stop: Callable[[], bool] = lambda: False) -> None:
+        """Train to the limit, or until `stop` says so between two updates."""
+        o = self.options
+        self._keeper = Keeper(
+            o.output,
+            self.diary,
+            self.judge,
+            self.made,
+            lambda path, made: files.save(path, *made),
+            self.save,
+            (float("inf") if o.minutes is None else o.minutes, o.save_every, o.evaluate_every),
+            stop,
+        )
+        begun = perf_counter()
+        self.model.learn(
+            max(0, o.steps - self.model.num_timesteps),
+            [_Measure(self)] * (o.normalise == "running") + [self._keeper],
+            reset_num_timesteps=False,
+            progress_bar=not o.quiet,
+        )
+        self._total = perf_counter() - begun
+
+    def profile(self) -> str:
+        """Where the time went."""
+        assert self._keeper is not None
+        named = {
+            "gradient steps": self.model.seconds,
+            "environment": self.env.seconds,
+            "bridge": self.env.seconds_here - self.env.seconds,
+            "policy in the rollout": self.policy.seconds,
+            **self._keeper.seconds,
+        }
+        return shares(named, self._total)
+
+    def summary(self) -> str:
+        """The last line of the log in words."""
+        assert self._keeper is not None
+        if not self._keeper.rows:
+            return "nothing was evaluated"
+        row, best = self._keeper.rows[-1], max(self._keeper.rows, key=lambda r: r.score)
+        return (
+            f"score {row.score:.3f} ({row.low:.3f} .. {row.high:.3f}) after {row.steps:,} agent steps "
+            f"and {row.minutes:.1f} minutes; best {best.score:.3f} at {best.steps:,}: "
+            f"{self.options.output / 'best.safetensors'}"
+        )
+
+
+_GROUPS = ("random", "environment", "policy", "optimiser", "spread", "last")
+
+
+@final
+class _Measure(BaseCallback):
+    """Takes in what was observed after a rollout, and normalises by it before the next."""
+
+    def __init__(self, run: Run) -> None:
+        super().__init__()
+        self._run = run
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_end(self) -> None:
+        run = self._run
+        seen = run.model.rollout_buffer.observations[..., : run.env.own]
+        run.spread.add(seen.reshape(-1, run.env.own)[:, -run.entries :])
+
+    def _on_rollout_start(self) -> None:
+        run = self._run
+        if run.spread.count > 0:
+            run.policy.normalise(*run.spread.scales(), _state_scales(run.options, run.env))
+
+
+# -- making one -----------------------------------------------------------------------------------
+
+
+def prepare(options: Options) -> Run:
+    """A run that is ready to train, in a folder that can be written.
+
+    Raises `ValueError` for options that cannot be, `OSError` for the folder.
+    """
+    path = options.output / checkpoint.NAME
+    if options.resume:
+        return _resumed(path, options)
+    if path.exists():
+        raise ValueError(f"{path} exists: go on with --resume, or choose another folder")
+    source = None if options.init is None else files.load(options.init)
+    if source is not None:
+        options = _fitted(options, *source)
+    _prepare_folder(options.output)
+    return Run(options, _method(options, source), source)
+
+
+def _resumed(path: Path, given: Options) -> Run:
+    facts, arrays = checkpoint.load(path)
+    try:
+        options = continued(facts.get("options", {}), given)
+    except ValueError as problem:
+        raise ValueError(f"{path}: {problem}") from None
+    _prepare_folder(options.output)
+    try:
+        run = Run(options, facts["method"])
+        run.restore(facts, arrays)
+    except (KeyError, RuntimeError, TypeError, ValueError) as problem:
+        raise ValueError(f"{path}: does not fit its own options ({problem})") from None
+    return run
+
+
+def _prepare_folder(folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    probe = folder / ".writable"
+    checkpoint.write(probe, b"")
+    probe.unlink()
+
+
+def _fitted(options: Options, card: Card, net: Network) -> Options:
+    """The options with what the file decides. Raises `ValueError` where both do and differ."""
+    config = options.config()
+    found = {
+        "action": (card.action, config.action),
+        "observation entries": (card.entries, config.layout.size),
+    }
+    for name, (own, wanted) in found.items():
+        if own != wanted:
+            raise ValueError(f"--init {options.init}: {name} {own}, the task has {wanted}")
+    for name, usual in (("history", 1), ("residual", 0.0)):
+        own, given = getattr(card, name), getattr(options, name)
+        if given not in (usual, own):
+            raise ValueError(f"--{name} {given}: the policy in {options.init} has {own}")
+    return replace(
+        options,
+        history=card.history,
+        residual=card.residual,
+        hidden=tuple(hidden_sizes(net)),
+        activation="relu" if card.activation == "relu" else "tanh",
+    )
+
+
+def _method(options: Options, source: tuple[Card, Network] | None) -> str:
+    """What the policy's card calls the way it was trained."""
+    if options.residual > 0.0:
+        return "residual"
+    if source is None or source[0].method.endswith("ppo"):
+        return "ppo" if source is None else source[0].method
+    return f"{source[0].method}-ppo"
+
+
+def _environment(options: Options) -> FollowerVecEnv:
+    return FollowerVecEnv(
+        options.training_config(),
+        options.worlds,
+        seed_offset=TRAINING_SEEDS + options.seed * options.worlds,
+        history=options.history,
+        residual=options.residual,
+        critic=options.critic,
+        stagger=True,
+        reward_scale=1.0 - options.gamma,
+        threads=options.threads,
+    )
+
+
+def _state_scales(options: Options, env: FollowerVecEnv) -> Any:
+    return state_scales(env.followers) if options.critic == "central" else None
+
+
+def _std(options: Options) -> float:
+    """Of the exploration at the start."""
+    if options.std is not None:
+        return options.std
+    usual = STD[options.config().action] if options.residual == 0.0 else RESIDUAL_STD
+    return usual * (FINE if options.init is not None else 1.0)
+
+
+def _model(options: Options, env: FollowerVecEnv, source: tuple[Card, Network] | None) -> Learner:
+    """The learner at the start."""
+    std, samples = _std(options), env.num_envs * options.rollout
+    hidden = list(options.hidden)
+    with warnings.catch_warnings():  # that a last batch may be smaller
+        warnings.simplefilter("ignore")
+        model = Learner(
+            FollowerPolicy,
+            env,
+            learning_rate=lambda left: options.learning_rate * max(0.1, left),
+            n_steps=options.rollout,
+            batch_size=min(options.batch, samples),
+            n_epochs=options.epochs,
+            gamma=options.gamma,
+            gae_lambda=options.gae_lambda,
+            clip_range=options.clip_range,
+            ent_coef=options.entropy,
+            vf_coef=options.value,
+            max_grad_norm=options.gradient,
+            seed=options.seed,
+            device="cpu",
+            policy_kwargs={
+                "own": env.own,
+                "gain": std,
+                "log_std_init": log(std),
+                "net_arch": {"pi": hidden, "vf": hidden},
+                "activation_fn": torch.nn.ReLU if options.activation == "relu" else torch.nn.Tanh,
+            },
+        )
+    model.alone_until = options.critic_steps
+    model.set_logger(configure_logger(str(Path(options.output) / "tensorboard"), ["tensorboard"]))
+    policy = model.policy
+    if source is None:
+        scales = fixed_scales(env.config.layout)
+        policy.normalise(*scales, _state_scales(options, env))
+    else:
+        adopt(policy, *source, env.followers)
+    return model

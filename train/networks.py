@@ -1,0 +1,184 @@
+"""The policy that PPO trains: an actor that sees what a follower sees, and a critic that may see more.
+
+Both are plain perceptrons on normalised inputs. The normalisation is part of the policy and goes with
+the actor into a policy file.
+"""
+
+from __future__ import annotations
+
+from time import perf_counter
+from typing import Any, final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3.common.policies import ActorCriticPolicy
+from torch import Tensor, nn
+
+from formation_env.task import Layout
+
+Array = NDArray[np.float32]
+
+CLIP = 10.0  # of normalised inputs
+# By how much an entry typically differs from what is usual while a formation is kept; units as in the
+# layout. Fixed, because measured spreads hide centimetres behind the metres of the first minutes, and
+# are zero for offsets, which other formations then fall outside of. The position is all but hidden:
+# where in the world a formation flies is none of a follower's business.
+SCALES = {
+    "slot_error": 0.3,
+    "relative_velocity": 0.3,
+    "leader_velocity": 1.0,
+    "leader_acceleration": 1.0,
+    "body_x": 1.0,
+    "body_z": 0.2,
+    "angular_velocity": 1.0,
+    "heading": 1.0,
+    "offset": 0.5,
+    "previous_action": 0.5,
+    "started": 1.0,
+    "position": 100.0,
+    "guide_position": 0.3,
+    "guide_velocity": 0.3,
+}
+NEIGHBOUR_SCALE = 1.0
+UPRIGHT = (0.0, 0.0, 1.0)  # mean of body_z
+# Inertial positions, velocities, attitudes and angular velocities, as `state()` has them.
+_VEHICLE = [5.0] * 3 + [1.0] * 3 + [0.5] * 4 + [1.0] * 3
+_SPREAD_LEAST = 0.1  # a measured scale is at least this part of the fixed one
+
+
+def fixed_scales(layout: Layout) -> tuple[Array, Array]:
+    """Mean and scale of one observation's entries."""
+    mean = np.zeros(layout.size, dtype=np.float32)
+    scale = np.full(layout.size, NEIGHBOUR_SCALE, dtype=np.float32)
+    for name, where in layout.slices.items():
+        scale[where] = SCALES[name]
+    mean[layout.slices["body_z"]] = UPRIGHT
+    return mean, scale
+
+
+def state_scales(followers: int) -> Array:
+    """Scales of the numbers of `state()`."""
+    numbers = _VEHICLE * (followers + 1) + [5.0] * (3 * followers) + [1.0]
+    return np.array(numbers, dtype=np.float32)
+
+
+@final
+class Towers(nn.Module):
+    """Hidden layers of actor and critic; the actor's part of the input comes first."""
+
+    mean: Tensor
+    scale: Tensor
+
+    def __init__(self, inputs: int, own: int, hidden: dict[str, list[int]], relu: bool) -> None:
+        super().__init__()
+        self.own = own
+        self.register_buffer("mean", torch.zeros(inputs))
+        self.register_buffer("scale", torch.ones(inputs))
+        self.policy_net, self.latent_dim_pi = _perceptron(own, hidden["pi"], relu)
+        self.value_net, self.latent_dim_vf = _perceptron(inputs, hidden["vf"], relu)
+
+    def _seen(self, x: Tensor) -> Tensor:
+        return ((x - self.mean) / self.scale).clamp(-CLIP, CLIP)
+
+    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Both at once."""
+        x = self._seen(features)
+        return self.policy_net(x[:, : self.own]), self.value_net(x)
+
+    def forward_actor(self, features: Tensor) -> Tensor:
+        """The actor's last hidden layer."""
+        latent: Tensor = self.policy_net(self._seen(features)[:, : self.own])
+        return latent
+
+    def forward_critic(self, features: Tensor) -> Tensor:
+        """The critic's."""
+        latent: Tensor = self.value_net(self._seen(features))
+        return latent
+
+
+def _perceptron(inputs: int, hidden: list[int], relu: bool) -> tuple[nn.Sequential, int]:
+    parts: list[nn.Module] = []
+    for before, after in zip([inputs, *hidden], hidden, strict=False):
+        parts += [nn.Linear(before, after), nn.ReLU() if relu else nn.Tanh()]
+    return nn.Sequential(*parts), hidden[-1] if hidden else inputs
+
+
+@final
+class FollowerPolicy(ActorCriticPolicy):
+    """SB3's actor-critic policy with `Towers`; of an observation the actor sees the first `own`.
+
+    Actions are the actor's output times `gain`. With a gain of about the exploration's standard
+    deviation, a step of the optimiser moves actions by so many deviations at every action level; at
+    level `wrench`, where the expert's actions are a few thousandths, it would fling them otherwise.
+    """
+
+    mlp_extractor: Towers  # type: ignore[assignment]
+
+    def __init__(self, *args: Any, own: int, gain: float = 1.0, **kwargs: Any) -> None:
+        self._own, self.gain = own, gain
+        self.seconds = 0.0  # in forward passes of rollouts, since construction
+        super().__init__(*args, **kwargs)
+
+    def _build_mlp_extractor(self) -> None:
+        relu = self.activation_fn is nn.ReLU
+        assert isinstance(self.net_arch, dict)
+        self.mlp_extractor = Towers(self.features_dim, self._own, self.net_arch, relu)
+
+    def _get_action_dist_from_latent(self, latent_pi: Tensor) -> Any:
+        return self.action_dist.proba_distribution(
+            self.gain * self.action_net(latent_pi), self.log_std
+        )
+
+    def forward(self, obs: Any, deterministic: bool = False) -> Any:
+        """Actions, values and log-probabilities; timed."""
+        start = perf_counter()
+        result = super().forward(obs, deterministic)
+        self.seconds += perf_counter() - start
+        return result
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        return {**super()._get_constructor_parameters(), "own": self._own, "gain": self.gain}
+
+    def actor_layers(self) -> list[nn.Linear]:
+        """From input to output."""
+        modules = (*self.mlp_extractor.policy_net, self.action_net)
+        return [x for x in modules if isinstance(x, nn.Linear)]
+
+    def actor_parameters(self) -> list[nn.Parameter]:
+        """What decides on actions."""
+        return [*(p for layer in self.actor_layers() for p in layer.parameters()), self.log_std]
+
+    def normalise(self, mean: Array, scale: Array, state: Array | None = None) -> None:
+        """Set the normalisation of one observation's entries, and of the state's numbers if seen."""
+        towers = self.mlp_extractor
+        rest = np.zeros(0, dtype=np.float32) if state is None else state
+        history = towers.own // len(mean)
+        towers.mean.copy_(torch.from_numpy(np.concatenate((np.tile(mean, history), 0.0 * rest))))
+        towers.scale.copy_(torch.from_numpy(np.concatenate((np.tile(scale, history), rest))))
+
+
+@final
+class Spread:
+    """Running mean and variance of observations, by entry, as VecNormalize keeps them."""
+
+    def __init__(self, layout: Layout) -> None:
+        self.count = np.zeros(1)
+        self.mean = np.zeros(layout.size)
+        self.square = np.zeros(layout.size)  # sum of squared deviations
+        self._least = _SPREAD_LEAST * fixed_scales(layout)[1]
+
+    def add(self, rows: NDArray[Any]) -> None:
+        """Take in observations `(N, entries)`; Chan's update, exact for any split."""
+        rows = rows.astype(np.float64)
+        n, mean = len(rows), rows.mean(axis=0)
+        total = self.count + n
+        gap = mean - self.mean
+        self.square += ((rows - mean) ** 2).sum(axis=0) + gap**2 * self.count * n / total
+        self.mean += gap * n / total
+        self.count = total
+
+    def scales(self) -> tuple[Array, Array]:
+        """Mean and scale so far."""
+        spread = np.sqrt(self.square / np.maximum(self.count, 1.0))
+        return self.mean.astype(np.float32), np.maximum(spread, self._least).astype(np.float32)

@@ -1,0 +1,211 @@
+"""The options of `python -m train.ppo`."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import MISSING, asdict, dataclass, field, fields
+from math import isfinite
+from pathlib import Path
+from typing import Any, Literal
+
+from formation_env import SCENARIOS, FormationConfig, configure
+
+# Of the exploration at the start, by action level: about how far apart the actions are that matter.
+STD = {"wrench": 0.05, "rates": 0.05, "reference": 0.3}
+FINE = 0.2  # part of it when the actor comes from a file
+
+
+@dataclass(frozen=True)
+class Options:
+    """Train one policy, shared by all followers, with PPO."""
+
+    output: Path
+    """Folder for the policies, the log and the checkpoint."""
+    scenario: str = "nominal"
+    """Which task, as in the leaderboard."""
+    action: Literal["wrench", "rates", "reference"] | None = None
+    """Action level instead of the scenario's own."""
+    steps: int = 20_000_000
+    """Stop after so many agent steps: ticks times followers times worlds."""
+    minutes: float | None = None
+    """Stop after so many minutes, evaluations included, if that is earlier."""
+    seed: int = 0
+    """Of everything that is drawn."""
+    resume: bool = False
+    """Continue the run in the output folder with the options that it was started with; of those given
+    here only steps, minutes, profile and quiet count."""
+    init: Path | None = None
+    """Start from the actor in a policy file."""
+    residual: float = 0.0
+    """Learn a correction of at most this to the expert's action; 0 learns the action itself."""
+    history: int = 1
+    """How many observations the policy sees, the present one included."""
+    critic: Literal["local", "central"] = "local"
+    """What the critic sees: the follower's observation, or the world's true state too."""
+
+    start: Literal["formation", "ground"] | None = None
+    """How training episodes begin, instead of the scenario's way."""
+    start_offset: float | None = None
+    """Radius in m of the ball around the slot in which they begin, instead of the scenario's."""
+    scenario_duration: float | None = None
+    """Their length in s, instead of the scenario's."""
+
+    worlds: int = 256
+    """How many fly at once."""
+    rollout: int = 32
+    """Ticks flown between two updates."""
+    batch: int = 2048
+    """Agent steps in a step of the optimiser."""
+    epochs: int = 5
+    """Passes over a rollout."""
+    learning_rate: float = 1e-3
+    """At the start; it falls in a straight line to a tenth at the last step."""
+    gamma: float = 0.98
+    """Discount per tick. Rewards are scaled by 1 - gamma, so that values are of order one."""
+    gae_lambda: float = 0.95
+    """Of the generalised advantage estimate."""
+    clip_range: float = 0.2
+    """Of the probability ratio."""
+    entropy: float = 0.0
+    """Weight of the entropy bonus."""
+    value: float = 0.5
+    """Weight of the value loss."""
+    gradient: float = 0.5
+    """Largest norm of a gradient."""
+    std: float | None = None
+    """Of the exploration at the start; by default fit for the action level."""
+    hidden: tuple[int, ...] = (64, 64)
+    """Widths of the hidden layers; those of the file with --init."""
+    activation: Literal["tanh", "relu"] = "tanh"
+    """Of the hidden layers; that of the file with --init."""
+    normalise: Literal["fixed", "running"] = "fixed"
+    """Inputs by fixed scales, or by the running mean and variance."""
+    critic_steps: int = 0
+    """Agent steps during which the critic alone learns, worth it with --init."""
+
+    evaluate_every: int = 1_000_000
+    """Agent steps between two evaluations."""
+    episodes: int = 32
+    """In an evaluation."""
+    save_every: float = 1.0
+    """Minutes between two checkpoints, which also follow every evaluation."""
+    threads: int = field(default_factory=lambda: os.cpu_count() or 1)
+    """At most so many."""
+    profile: bool = False
+    """Say at the end where the time went."""
+    quiet: bool = False
+    """No progress bar, no lines but the errors."""
+
+    def __post_init__(self) -> None:
+        if self.scenario not in SCENARIOS:
+            _refuse("scenario", self.scenario, f"one of {', '.join(SCENARIOS)}")
+        for name, (least, most) in _WHOLE.items():
+            value = getattr(self, name)
+            if not least <= value <= most:
+                _refuse(name, value, f"a whole number from {least} to {most}")
+        for name, (low, high) in _REAL.items():
+            value = getattr(self, name)
+            if value is not None and not (isfinite(value) and low <= value <= high):
+                _refuse(name, value, f"a number from {low:g} to {high:g}")
+        if not 0 < len(self.hidden) <= 8 or not all(1 <= n <= 4096 for n in self.hidden):
+            _refuse("hidden", self.hidden, "1 to 8 widths from 1 to 4096")
+        self.training_config()
+
+    def config(self) -> FormationConfig:
+        """The task as the leaderboard has it."""
+        given: dict[str, Any] = {} if self.action is None else {"action": self.action}
+        return configure(self.scenario, **given)
+
+    def training_config(self) -> FormationConfig:
+        """The task as it is trained. Raises `ValueError` naming the field if it is impossible."""
+        given: dict[str, Any] = {
+            "start": self.start,
+            "start_offset": self.start_offset,
+            "duration": self.scenario_duration,
+        }
+        return configure(self.config(), **{k: v for k, v in given.items() if v is not None})
+
+
+# Least and largest.
+_WHOLE = {
+    "steps": (1, 2**50),
+    "seed": (0, 2**32 - 1),
+    "history": (1, 100),
+    "worlds": (1, 2**20),
+    "rollout": (2, 2**16),
+    "batch": (2, 2**24),
+    "epochs": (1, 1000),
+    "critic_steps": (0, 2**50),
+    "evaluate_every": (1, 2**50),
+    "episodes": (1, 100_000),
+    "threads": (1, 1024),
+}
+_REAL = {
+    "minutes": (1e-9, 1e9),
+    "residual": (0.0, 1.0),
+    "learning_rate": (1e-12, 1.0),
+    "gamma": (0.0, 0.999999),
+    "gae_lambda": (0.0, 1.0),
+    "clip_range": (1e-6, 1e6),
+    "entropy": (0.0, 1e6),
+    "value": (0.0, 1e6),
+    "gradient": (1e-9, 1e9),
+    "std": (1e-6, 10.0),
+    "save_every": (0.0, 1e9),
+}
+# What a resumed run may change.
+FREE = ("steps", "minutes", "resume", "profile", "quiet", "output")
+
+
+def _refuse(name: str, value: object, expected: str) -> None:
+    raise ValueError(f"--{name.replace('_', '-')} {value}: expected {expected}")
+
+
+def to_json(options: Options) -> dict[str, Any]:
+    """The options as JSON takes them."""
+    return {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
+
+
+def continued(saved: dict[str, Any], given: Options) -> Options:
+    """The options of a run to be continued: those saved with it, with the free ones as given.
+
+    Raises `ValueError` naming an option that is given otherwise than it was saved, or saved options
+    that are not these.
+    """
+    if set(saved) != {f.name for f in fields(Options)}:
+        raise ValueError("saved by another version of this command")
+    now, usual = to_json(given), _usual()
+    for name, value in now.items():
+        old = tuple(saved[name]) if isinstance(saved[name], list) else saved[name]
+        if name not in FREE and value not in (usual[name], old):
+            raise ValueError(
+                f"--{name.replace('_', '-')} {value}: the run was started with {old}, and "
+                "goes on with that"
+            )
+    steps = saved["steps"] if given.steps == usual["steps"] else given.steps
+    together = {**saved, **{name: getattr(given, name) for name in FREE}, "steps": steps}
+    together["hidden"] = tuple(saved["hidden"])
+    together["init"] = None if saved["init"] is None else Path(saved["init"])
+    return Options(**together)
+
+
+def _usual() -> dict[str, Any]:
+    """The defaults by name."""
+    usual: dict[str, Any] = {"output": None}
+    for f in fields(Options):
+        if f.default is not MISSING:
+            usual[f.name] = f.default
+        elif f.default_factory is not MISSING:
+            usual[f.name] = f.default_factory()
+    return usual
+
+
+def command(options: Options) -> str:
+    """The command that repeats a run, without what does not change its result."""
+    words, usual = ["python -m train.ppo"], _usual()
+    for name, value in to_json(options).items():
+        if name in ("output", "resume", "profile", "quiet", "threads") or value == usual[name]:
+            continue
+        text = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+        words.append(f"--{name.replace('_', '-')} {text}")
+    return " ".join(words)

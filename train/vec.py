@@ -1,0 +1,243 @@
+"""The Stable-Baselines3 face: many worlds, every follower a row of one shared policy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from time import perf_counter
+from typing import Any, final
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env.base_vec_env import VecEnv
+
+from baselines.expert import Expert
+from formation_env import FormationConfig, configure, faces
+from formation_env.formation_v0 import parallel_env
+from formation_env.memory import REWARD, SLOT, Results
+from formation_env.simulation import Snapshot
+from formation_env.vector import FormationVectorEnv
+
+Array = NDArray[Any]
+
+
+@final
+class FollowerVecEnv(VecEnv):
+    """`worlds` worlds of a scenario with a row per follower: row = world * followers + follower.
+
+    An observation is the follower's last `history` rows, newest last; an episode begins with its first
+    one repeated. With `critic="central"` the world's true state follows, as PettingZoo's `state()`
+    gives it. Rewards are the follower's own times `reward_scale`. All rows of a world end together;
+    ended rows carry `terminal_observation` and `TimeLimit.truncated` and continue with the next episode.
+
+    With `residual` > 0 the expert flies underneath: what is executed is its action plus `residual`
+    times the row's, which is clipped to [-1, 1]. World w draws from the stream of seed
+    `seed_offset + seed + w`. `stagger` ends every world's first episode early, at a random age, as if
+    at its time limit, so that the worlds do not all begin and end together ever after.
+    """
+
+    def __init__(
+        self,
+        scenario: str | FormationConfig = "nominal",
+        worlds: int = 64,
+        *,
+        seed_offset: int = 0,
+        history: int = 1,
+        residual: float = 0.0,
+        critic: str = "local",
+        stagger: bool = False,
+        reward_scale: float = 1.0,
+        threads: int | None = None,
+        render_mode: str | None = None,
+        **options: Any,
+    ) -> None:
+        if history < 1:
+            raise ValueError(f"history = {history!r}: expected at least 1")
+        if not 0.0 <= residual <= 1.0:
+            raise ValueError(f"residual = {residual!r}: expected a bound from 0 to 1")
+        if critic not in ("local", "central"):
+            raise ValueError(f"critic = {critic!r}: expected 'local' or 'central'")
+        self.config = configure(scenario, **options)
+        self.envs = FormationVectorEnv(
+            worlds,
+            self.config,
+            autoreset_mode=AutoresetMode.DISABLED,
+            threads=threads,
+            render_mode=render_mode,
+        )
+        self.worlds, self.followers = worlds, self.config.followers
+        self.entries = self.config.layout.size
+        self.own = history * self.entries  # of an observation's numbers, those the actor may see
+        self.seconds = 0.0  # in the simulation, since construction
+        self.seconds_here = 0.0  # and in all of step_wait
+        self._history, self._residual = history, residual
+        self._central, self._stagger, self._scale = critic == "central", stagger, reward_scale
+        self._seed_offset = seed_offset
+        self._expert = Expert(self.config) if residual > 0.0 else None
+        self._last = np.zeros((worlds, self.followers, self.entries), dtype=np.float32)
+        self._stack = np.zeros((worlds, self.followers, history, self.entries), dtype=np.float32)
+        self._left = np.zeros(worlds, dtype=np.int64)  # ticks to an early end, negative: none
+        self._actions = np.zeros((worlds, self.followers, self.config.action_size), np.float32)
+        high = np.tile(self.config.layout.bound, history)
+        self._bound: Array = np.zeros(0, dtype=np.float32)  # of the state's numbers
+        if self._central:
+            self._bound = parallel_env(scenario=self.config).state_space.high
+            high = np.concatenate((high, self._bound))
+        super().__init__(
+            worlds * self.followers,
+            spaces.Box(-high, high, dtype=np.float32),
+            faces.action_space(self.config, 1),
+        )
+
+    # -- episodes -----------------------------------------------------------------------------------
+
+    def reset(self) -> Array:
+        """Begin episodes everywhere, from the seed given to `seed` if one was."""
+        seed = self._seeds[0]
+        first = None if seed is None else self._seed_offset + seed
+        self._reset_seeds()
+        self._reset_options()
+        self.envs.reset(seed=first)
+        self._left[:] = -1
+        if self._stagger:
+            ages = np.random.default_rng(first)
+            self._left[:] = ages.integers(1, self.config.max_steps + 1, self.worlds)
+        results = self.envs.simulation.look()
+        if self._expert is not None:
+            self._expert.reset(worlds=self.worlds)
+        self._take(results, np.ones(self.worlds, dtype=np.bool_))
+        self.reset_infos = [{} for _ in range(self.num_envs)]
+        return self._observe(results)
+
+    def _take(self, results: Results, fresh: NDArray[np.bool_]) -> None:
+        """Take in observations, as the first of an episode in the `fresh` worlds."""
+        self._last = results.observations
+        if self._history > 1:
+            self._stack[:, :, :-1] = self._stack[:, :, 1:]
+        self._stack[:, :, -1] = results.observations
+        if fresh.any():
+            self._stack[fresh] = results.observations[fresh][:, :, None]
+
+    def _observe(self, results: Results) -> Array:
+        """What every row sees, a fresh array."""
+        rows = self._stack.reshape(self.num_envs, self.own)
+        if not self._central:
+            return rows.copy()
+        state = np.repeat(self._state(results), self.followers, axis=0)
+        return np.concatenate((rows, state), axis=1)
+
+    def _state(self, results: Results) -> Array:
+        """The truth about every world as PettingZoo's `state()` has it, `(worlds, numbers)`."""
+        s = self.envs.simulation
+        vehicles = np.concatenate(
+            (s.positions, s.velocities, s.attitudes, s.angular_velocities), axis=2
+        )
+        slots = results.outputs[..., SLOT : SLOT + 3]
+        parts = [x.reshape(self.worlds, -1) for x in (vehicles, slots, s.started)]
+        state = np.concatenate(parts, axis=1).astype(np.float32)
+        bound = self._bound
+        return np.clip(state, -bound, bound)
+
+    # -- stepping -----------------------------------------------------------------------------------
+
+    def step_async(self, actions: Array) -> None:
+        """Note the actions, one row per follower."""
+        shape = (self.worlds, self.followers, self.config.action_size)
+        self._actions = np.asarray(actions, dtype=np.float32).reshape(shape)
+
+    def step_wait(self) -> tuple[Array, Array, NDArray[np.bool_], list[dict[str, Any]]]:
+        """One control tick in every world; worlds that end begin their next episode."""
+        start = perf_counter()
+        actions = self._actions
+        if self._expert is not None:
+            correction = self._residual * np.clip(actions, -1.0, 1.0)
+            actions = np.clip(self._expert.act(self._last) + correction, -1.0, 1.0)
+        begun = perf_counter()
+        results = self.envs.simulation.step(actions)
+        self.seconds += perf_counter() - begun
+        self._left -= 1
+        terminated = results.terminated
+        done = terminated | results.truncated | (self._left == 0)
+        self._take(results, np.zeros_like(done))
+        seen = self._observe(results)
+        rewards = (self._scale * results.outputs[..., REWARD]).astype(np.float32).reshape(-1)
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        dones = np.repeat(done, self.followers)
+        if done.any():
+            for row in np.flatnonzero(dones):
+                infos[row]["terminal_observation"] = seen[row].copy()
+                infos[row]["TimeLimit.truncated"] = not terminated[row // self.followers]
+            seen = self._begin_again(done)
+        self.seconds_here += perf_counter() - start
+        return seen, rewards, dones, infos
+
+    def _begin_again(self, done: NDArray[np.bool_]) -> Array:
+        """Start the next episode in the worlds that are `done`; what every row sees then."""
+        begun = perf_counter()
+        results = self.envs.simulation.reset(done)
+        self.seconds += perf_counter() - begun
+        self._left[done] = -1
+        if self._expert is not None:
+            self._expert.restart(done)
+        self._last = results.observations
+        self._stack[done] = results.observations[done][:, :, None]
+        return self._observe(results)
+
+    # -- the rest of the interface ----------------------------------------------------------------
+
+    def get_images(self) -> Sequence[Array | None]:
+        """One frame per world; its rows share it."""
+        frames = self.envs.render()
+        return [None] * self.worlds if frames is None else list(frames)
+
+    def close(self) -> None:
+        """Stop the threads."""
+        self.envs.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute of the environment behind the rows, once for each."""
+        return [getattr(self.envs, attr_name)] * self._count(indices)
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Set an attribute of the environment behind all rows."""
+        setattr(self.envs, attr_name, value)
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> Any:
+        """Call a method of the environment behind the rows, once; its result for each row."""
+        return [getattr(self.envs, method_name)(*args, **kwargs)] * self._count(indices)
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        """No row is wrapped by itself."""
+        return [False] * self._count(indices)
+
+    def _count(self, indices: Any) -> int:
+        return len(list(self._get_indices(indices)))
+
+    def get_state(self) -> dict[str, Array]:
+        """Everything needed to continue identically, as copies of arrays by name."""
+        state = {f"world.{k}": v for k, v in self.envs.get_state().state.items()}
+        state |= {"last": self._last.copy(), "stack": self._stack.copy(), "left": self._left.copy()}
+        if self._expert is not None:
+            state |= {f"expert.{k}": v for k, v in self._expert.get_state().items()}
+        return state
+
+    def set_state(self, state: dict[str, Array]) -> None:
+        """Continue from what `get_state` of the same configuration and size returned.
+
+        Raises `ValueError` where something is missing or of another shape.
+        """
+        parts: dict[str, dict[str, Array]] = {"world": {}, "expert": {}, "": {}}
+        for name, array in state.items():
+            group, _, rest = name.rpartition(".")
+            parts[group][rest] = array
+        for name in ("last", "stack", "left"):
+            own, given = getattr(self, f"_{name}"), parts[""].get(name)
+            if given is None or given.shape != own.shape or given.dtype != own.dtype:
+                raise ValueError(f"state[{name!r}] does not fit {self.worlds} worlds of this kind")
+        self.envs.set_state(Snapshot(self.config, parts["world"]))
+        if self._expert is not None:
+            self._expert.reset(worlds=self.worlds)
+            self._expert.set_state(parts["expert"])
+        for name in ("last", "stack", "left"):
+            setattr(self, f"_{name}", parts[""][name].copy())
