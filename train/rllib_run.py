@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from time import perf_counter
 from typing import Any, NamedTuple, final
@@ -11,7 +12,6 @@ import numpy as np
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core import DEFAULT_MODULE_ID
 from ray.rllib.core.rl_module.rl_module import RLModuleSpec
-from ray.tune.logger import NoopLogger
 from ray.tune.registry import register_env
 from tqdm import tqdm
 
@@ -118,14 +118,9 @@ def algorithm(options: Options, steps: int = 0) -> Any:
             minibatch_size=min(options.batch, batch),
             num_epochs=options.epochs,
         )
-        .debugging(seed=seed, log_level="ERROR", logger_creator=_no_logger)
+        .debugging(seed=seed, log_level="ERROR")
     )
     return ppo.build_algo()
-
-
-def _no_logger(config: dict[str, Any]) -> NoopLogger:
-    """RLlib would write into the home folder otherwise."""
-    return NoopLogger(config, "")
 
 
 # -- a run ----------------------------------------------------------------------------------------
@@ -173,6 +168,8 @@ class Run:
     def close(self) -> None:
         """Stop the runners."""
         self._algorithm.stop()
+        with suppress(OSError):  # an empty folder that RLlib makes in the user's home
+            Path(self._algorithm.logdir).rmdir()
 
     # -- scoring ----------------------------------------------------------------------------------
 
