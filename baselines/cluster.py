@@ -148,7 +148,8 @@ def fly_all(
     """
     task = ray.remote(num_cpus=1, max_retries=3, scheduling_strategy="SPREAD")(_fly)
     # A policy's numbers travel once to each machine, not with every flight.
-    recipes = {id(f.recipe): ray.put(f.recipe) for f in flights}
+    each = {id(f.recipe): f.recipe for f in flights}
+    recipes = {key: ray.put(recipe) for key, recipe in each.items()}
     tickets = [
         task.remote(f.config, recipes[id(f.recipe)], f.seeds, formation_env.__version__)
         for f in flights
@@ -166,7 +167,7 @@ def fly_all(
                 progress(ticks[ticket])
         return [dict(part) for part in ray.get(tickets)]
     except ray.exceptions.RayError as problem:
-        raise ClusterError(f"the cluster gave up: {_line(problem)}") from None
+        raise ClusterError(f"{type(problem).__name__}: {_line(problem)}") from None
     finally:
         for ticket in waiting:
             ray.cancel(ticket, force=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import faulthandler
 import os
 import signal
+import uuid
 from collections.abc import Iterator
 from typing import Any
 
@@ -16,6 +17,11 @@ import pytest
 
 os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
 os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+
+# Nodes that `Cluster` starts ask for no token while drivers that join them may: then the second driver
+# in a process is cut off. So everybody has the one of this session.
+os.environ["RAY_AUTH_MODE"] = "token"
+os.environ["RAY_AUTH_TOKEN"] = uuid.uuid4().hex
 
 LIMIT = 240  # s for each test, of which the first compile is most
 

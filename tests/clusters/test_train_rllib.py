@@ -118,20 +118,36 @@ def test_a_run_goes_on(trained: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--scenario", "windy"], "--scenario windy: expected one of nominal"),
-        (["--worlds", "0"], "--worlds 0: expected a whole number from 1"),
-        (["--gamma", "1"], "--gamma 1.0: expected a number from 0 to"),
         (["--resume"], "checkpoint.safetensors: not a checkpoint that can be read"),
         (["--address", "127.0.0.1:9"], "--address 127.0.0.1:9: nobody answers there"),
     ],
 )
-def test_wrong_option(
+def test_what_cannot_be_run(
     arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert rllib.main([*arguments, "--output", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--scenario", "windy"], "--scenario windy: expected one of nominal"),
+        (["--worlds", "0"], "--worlds 0: expected a whole number from 1"),
+        (["--gamma", "1"], "--gamma 1.0: expected a number from 0 to"),
+        (["--critic", "both"], "invalid choice 'both'"),
+    ],
+)
+def test_wrong_option(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        rllib.main([*arguments, "--output", str(tmp_path)])
+    assert stop.value.code == 2
+    assert message in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_other_options_on_going_on(trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
