@@ -138,9 +138,7 @@ def _fly(config: FormationConfig, recipe: Recipe, seeds: range, version: str) ->
     return fly(recipe.make(config), seeds)
 
 
-def fly_all(
-    ray: Any, flights: Sequence[Flight], progress: Callable[[int], None]
-) -> list[Episodes]:
+def fly_all(ray: Any, flights: Sequence[Flight], progress: Callable[[int], None]) -> list[Episodes]:
     """The episodes of every flight, in their order, flown one to a core wherever there is one.
 
     `progress` is told of worlds' ticks. Flights of a worker that is lost are flown again by another.

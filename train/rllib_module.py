@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import log
 from typing import Any, final
 
@@ -21,7 +22,7 @@ Weights = dict[str, NDArray[np.float32]]
 
 def _perceptron(sizes: list[int], activation: type[nn.Module]) -> nn.Sequential:
     parts: list[nn.Module] = []
-    for before, after in zip(sizes, sizes[1:], strict=False):
+    for before, after in pairwise(sizes):
         parts += [nn.Linear(before, after), activation()]
     return nn.Sequential(*parts[:-1])  # the last layer is linear
 
@@ -51,12 +52,13 @@ class FollowerModule(TorchRLModule, ValueFunctionAPI):
         self.critic = _perceptron([entries + state, *c["hidden"], 1], activation)
         self.log_std = nn.Parameter(torch.full((actions,), log(c["std"])))
         with torch.no_grad():
-            self.actor[-1].weight.mul_(0.01)
-            self.actor[-1].bias.zero_()
+            for parameter in self.actor[-1].parameters():
+                parameter.mul_(0.01)
 
     def _own(self, seen: Any) -> Tensor:
         own = seen["obs"] if isinstance(seen, dict) else seen
-        return ((own - self.mean) / self.scale).clamp(-CLIP, CLIP)
+        x: Tensor = ((own - self.mean) / self.scale).clamp(-CLIP, CLIP)
+        return x
 
     def _forward(self, batch: dict[str, Any], **_: Any) -> dict[str, Any]:
         mean = self.gain * self.actor(self._own(batch[Columns.OBS]))

@@ -57,7 +57,9 @@ class FollowerRows(VectorEnv[Any, Array, Array]):
         self._simulation = Simulation(config, self.worlds)
         self._central, self._scale = central, reward_scale
         self._over = np.zeros(self.worlds, dtype=np.bool_)
-        self._left = np.full(self.worlds, -1, dtype=np.int64)  # ticks to an early end; below 0: none
+        self._left = np.full(
+            self.worlds, -1, dtype=np.int64
+        )  # ticks to an early end; below 0: none
         observation: spaces.Space[Any] = faces.observation_space(config, 1)
         self._bound: Array = np.zeros(0, dtype=np.float32)  # of the state's numbers
         if central:

@@ -210,8 +210,17 @@ class Run:
             return
         o = self.options
         score, columns = self._judge.judge(*self.made())
-        means = (float(columns[x].mean()) for x in ("return", "slot_error_rms", "failed"))
-        row = Row(self.steps, self.minutes, score.value, score.low, score.high, *means, o.seed)
+        row = Row(
+            self.steps,
+            self.minutes,
+            score.value,
+            score.low,
+            score.high,
+            float(columns["return"].mean()),
+            float(columns["slot_error_rms"].mean()),
+            float(columns["failed"].mean()),
+            o.seed,
+        )
         best = all(row.score > other.score for other in self.rows)
         self.rows.append(row)
         self._next = (self.steps // o.evaluate_every + 1) * o.evaluate_every

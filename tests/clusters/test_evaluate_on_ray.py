@@ -17,8 +17,8 @@ ray = pytest.importorskip("ray")
 
 from baselines import cluster, files, rollout
 from baselines import evaluate as command
-from baselines.scoring import Flight
 from baselines.registry import recipe
+from baselines.scoring import Flight
 from formation_env import configure
 
 OPTIONS = ["--scenarios", "nominal,paper", "--episodes", "7", "--duration", "1"]

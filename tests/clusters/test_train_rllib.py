@@ -13,12 +13,11 @@ torch = pytest.importorskip("torch")
 
 from baselines import cluster, files
 from baselines.learned import Learned
-from formation_env import configure
 from train import checkpoint, rllib
 from train.rllib_module import FollowerModule
 from train.rllib_options import Options
-from train.rllib_run import Run, _model_config, prepare
 from train.rllib_rows import FollowerRows
+from train.rllib_run import Run, _model_config, prepare
 
 SMALL = ["--worlds", "4", "--rollout", "16", "--batch", "64", "--epochs", "1", "--episodes", "2",
          "--hidden", "16", "8", "--quiet"]  # fmt: skip
@@ -112,7 +111,9 @@ def test_a_run_goes_on(trained: Path) -> None:
     assert len(rows) == 4
     facts, arrays = checkpoint.load(trained / "checkpoint.safetensors")
     assert facts["steps"] == run.steps and json.dumps(facts["rows"])
-    assert not np.array_equal(arrays["module/actor.0.weight"], saved_arrays["module/actor.0.weight"])
+    assert not np.array_equal(
+        arrays["module/actor.0.weight"], saved_arrays["module/actor.0.weight"]
+    )
 
 
 @pytest.mark.parametrize(
