@@ -94,10 +94,10 @@ def _start(ray: Any, cpus: int | None) -> None:
 
 def _check(address: str) -> None:
     """Make sure that there is a cluster, without waiting forever for one."""
-    host, _, port = address.removeprefix("ray://").rpartition(":")
+    host, _, port = address.rpartition(":")
     if address != "auto":
         if not (host and port.isdecimal() and 0 < int(port) < 2**16):
-            raise Unreachable(f"--address {address!r}: expected HOST:PORT, ray://HOST:PORT or auto")
+            raise Unreachable(f"--address {address!r}: expected HOST:PORT or auto")
         try:
             socket.create_connection((host.strip("[]"), int(port)), _REACH).close()
         except OSError as problem:

@@ -15,7 +15,8 @@ import logging
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from baselines import cluster
@@ -50,41 +51,51 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(f'{problem.name} is not installed: pip install "formation-env[ray]"', 2)
     try:
         options, saved = prepare(tyro.cli(Options, prog=f"python -m {PROGRAM}", args=arguments))
-        return _train(options, saved)
-    except (ValueError, cluster.Unreachable) as problem:
+    except ValueError as problem:
+        return _fail(problem, 2)
+    except OSError as problem:
+        return _fail(f"cannot write into {problem.filename}: {problem.strerror}", 2)
+    try:
+        with cluster.joined(options.address, max(1, options.runners)) as ray, _quietly():
+            return _train(ray, options, saved)
+    except cluster.Unreachable as problem:
         return _fail(problem, 2)
     except OSError as problem:
         where = f"{problem.filename}: " if problem.filename else ""
         return _fail(f"{where}{problem.strerror or problem}; earlier files are intact", 1)
 
 
-def _train(options: Options, saved: Saved | None) -> int:
+@contextmanager
+def _quietly() -> Iterator[None]:
+    """Without RLlib's warnings, which are many."""
+    logging.getLogger("ray").setLevel(logging.ERROR)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def _train(ray: Any, options: Options, saved: Saved | None) -> int:
     """Train until it is done or somebody interrupts."""
     from train.rllib_run import Run, require_cores
 
-    logging.getLogger("ray").setLevel(logging.ERROR)
-    asked: list[int] = []
-    with cluster.joined(options.address, max(1, options.runners)) as ray:
+    try:
         require_cores(ray, options)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # RLlib's, many
-            run = Run(options, saved)
-            before = signal.signal(signal.SIGINT, _once(asked))
-            try:
-                run.train(stop=lambda: bool(asked))
-            except KeyboardInterrupt:
-                return _fail("interrupted twice: the last checkpoint is intact", 130)
-            except ray.exceptions.RayError as problem:
-                return _fail(f"the cluster gave up ({problem}); the last checkpoint is intact", 1)
-            finally:
-                signal.signal(signal.SIGINT, before)
-                run.close()
-    if run.rows and not options.quiet:
-        row = run.rows[-1]
-        print(
-            f"score {row.score:.3f} ({row.low:.3f} .. {row.high:.3f}) after {run.steps:,} agent steps "
-            f"and {run.minutes:.1f} minutes: {options.output}"
-        )
+        run = Run(options, saved)
+    except ValueError as problem:
+        return _fail(problem, 2)
+    asked: list[int] = []
+    before = signal.signal(signal.SIGINT, _once(asked))
+    try:
+        run.train(stop=lambda: bool(asked))
+    except KeyboardInterrupt:
+        return _fail("interrupted twice: the last checkpoint is intact", 130)
+    except ray.exceptions.RayError as problem:
+        return _fail(f"the cluster gave up ({problem}); the last checkpoint is intact", 1)
+    finally:
+        signal.signal(signal.SIGINT, before)
+        run.close()
+    if not options.quiet:
+        print(run.summary())
     if asked:
         print(
             f"interrupted: saved; continue with --resume --output {options.output}", file=sys.stderr

@@ -165,6 +165,17 @@ class Run:
                 self._maybe_evaluate(last=True)
             self._save()
 
+    def summary(self) -> str:
+        """The last line of the log in words."""
+        if not self.rows:
+            return "nothing was evaluated"
+        row, best = self.rows[-1], max(self.rows, key=lambda r: r.score)
+        return (
+            f"score {row.score:.3f} ({row.low:.3f} .. {row.high:.3f}) after {row.steps:,} agent steps "
+            f"and {row.minutes:.1f} minutes; best {best.score:.3f} at {best.steps:,}: "
+            f"{self.options.output / BEST}"
+        )
+
     def close(self) -> None:
         """Stop the runners."""
         self._algorithm.stop()
@@ -253,7 +264,14 @@ class Run:
         self._saved = perf_counter()
 
     def _restore(self, saved: Saved) -> None:
-        """Give the learner what `_save` wrote, and the runners its weights."""
+        """Give the learner what `_save` wrote, and the runners its weights.
+
+        Raises `ValueError` where it does not fit the network, as after a change of the observation.
+        """
+        own = {name: np.shape(x) for name, x in self.weights().items()}
+        if own != {k: x.shape for k, x in checkpoint.group(saved.arrays, "module").items()}:
+            path = self.options.output / NAME
+            raise ValueError(f"{path}: the network in it is not the one of its own options")
         group = self._algorithm.learner_group
         state = group.get_state(components=["learner/rl_module", "learner/optimizer"])["learner"]
         state["rl_module"][DEFAULT_MODULE_ID] = checkpoint.group(saved.arrays, "module")

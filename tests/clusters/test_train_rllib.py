@@ -160,6 +160,31 @@ def test_other_options_on_going_on(trained: Path, capsys: pytest.CaptureFixture[
         assert message in capsys.readouterr().err
 
 
+def test_a_full_disk_leaves_the_earlier_files(
+    trained: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    before = {path.name: path.read_bytes() for path in trained.iterdir()}
+    monkeypatch.setattr("train.rllib_run.checkpoint.save", full)
+    monkeypatch.setattr("train.rllib_run.files.save", full)
+    assert rllib.main(["--output", str(trained), "--resume", "--steps", "1", "--quiet"]) == 1
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.endswith("No space left on device; earlier files are intact")
+    assert before == {path.name: path.read_bytes() for path in trained.iterdir()}
+
+
+def test_a_checkpoint_of_another_network(
+    trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    facts, arrays = checkpoint.load(trained / "checkpoint.safetensors")
+    arrays["module/mean"] = arrays["module/mean"][1:]
+    checkpoint.save(tmp_path / "checkpoint.safetensors", facts, arrays)
+    assert rllib.main(["--output", str(tmp_path), "--resume", "--quiet"]) == 2
+    assert "the network in it is not the one of its own options" in capsys.readouterr().err
+
+
 def test_more_runners_than_cores(
     cluster_address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
