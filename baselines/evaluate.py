@@ -2,7 +2,8 @@
 
 Policies are named, or are files (see `baselines.files`). Each flies the same episodes: world i of a
 scenario has the seed `seed + i`, as `gym.make(...).reset(seed=seed + i)` has. Hover and the expert always
-fly, because they are the 0 and the 1 of the score. Results do not depend on the number of threads.
+fly, because they are the 0 and the 1 of the score. Results do not depend on the number of threads, nor
+on whether the episodes are shared out over a Ray cluster (`--ray`).
 
 Prints a table and writes `results.json` (layout: see `baselines.report`) and `results.md` into the
 output folder. `--leaderboard` also writes `LEADERBOARD.md` and the README's extract of it.
@@ -15,17 +16,19 @@ import os
 import shlex
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
 from math import isfinite
 from pathlib import Path
 from typing import Any, NoReturn, final
 
 import formation_env
-from baselines import report
+from baselines import cluster, report
 from baselines.explanations import explanations
 from baselines.files import SUFFIX
 from baselines.registry import METHODS, POLICIES, available, is_policy
-from baselines.scoring import EPISODES, Report, enlist, evaluate
+from baselines.scoring import EPISODES, Fleet, Report, enlist, evaluate
 from formation_env import SCENARIOS, FormationConfig, configure
 from formation_env.config import LEVELS
 
@@ -158,6 +161,9 @@ def _parser() -> _Parser:
         "--output", type=Path, default=Path("results"), metavar="DIR", help="folder for the results"
     )
     add("--threads", type=_whole(1, 1024), default=os.cpu_count() or 1, metavar="N", help="workers")
+    add("--ray", action="store_true",
+        help="share the episodes out over a Ray cluster, by default one of this machine's cores")  # fmt: skip
+    add("--address", metavar="HOST:PORT", help="with --ray: of a cluster that runs already")
     add("--leaderboard", type=Path, nargs="?", const=Path(), metavar="DIR",
         help="also write LEADERBOARD.md and README.md's extract of it in this checkout "
         "(by default the current folder)")  # fmt: skip
@@ -216,6 +222,16 @@ def _command(options: argparse.Namespace, everybody: list[str]) -> str:
     return " ".join([*words, "--leaderboard"])
 
 
+@contextmanager
+def _fleet(options: argparse.Namespace) -> Iterator[Fleet | None]:
+    """What flies the episodes, while it is there. Raises `ClusterError`."""
+    if not options.ray:
+        yield None
+        return
+    with cluster.joined(options.address, options.threads) as ray:
+        yield partial(cluster.fly_all, ray)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
     parser = _parser()
@@ -225,6 +241,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         everybody = available(configs.values())
         options.policies = getattr(options, "policies", everybody)
         enlist(configs, options.policies)
+        if options.address is not None and not options.ray:
+            raise ValueError("argument --address: only with --ray")
         if options.leaderboard is not None:
             _check_readme(options.leaderboard)
             _prepare(options.leaderboard, ["LEADERBOARD.md"])
@@ -232,9 +250,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ValueError as problem:
         parser.error(str(problem))
     try:
-        result = evaluate(
-            configs, options.policies, options.episodes, options.seed, options.threads, quiet=False
-        )
+        with _fleet(options) as fleet:
+            o = options
+            result = evaluate(configs, o.policies, o.episodes, o.seed, o.threads, False, fleet)
+    except cluster.Unreachable as problem:
+        parser.error(str(problem))
+    except cluster.ClusterError as problem:
+        print(f"{parser.prog}: error: {problem}; nothing was written", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         print("interrupted: nothing was written", file=sys.stderr)
         return 130

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, NamedTuple, final
@@ -51,6 +51,19 @@ class Scenario(NamedTuple):
     measuring: dict[str, Estimate] | None  # the expert's, with velocity and acceleration measured
     sources: dict[str, Source]  # of those policies that are files
     absent: dict[str, str]  # policies that cannot fly here, and why
+
+
+class Flight(NamedTuple):
+    """One policy in the worlds of some consecutive seeds."""
+
+    config: FormationConfig
+    recipe: Recipe
+    seeds: range
+
+
+# Flies flights, in any order, and returns their episodes in the order given; on the way it tells of
+# worlds' ticks that have been dealt with.
+Fleet = Callable[[Sequence[Flight], Callable[[int], None]], list[Episodes]]
 
 
 class Report(NamedTuple):
@@ -110,13 +123,22 @@ def evaluate(
     seed: int = 0,
     threads: int = 1,
     quiet: bool = True,
+    fleet: Fleet | None = None,
 ) -> Report:
     """Score `policies` on named configurations, seeds `seed` to `seed + episodes - 1` for each.
 
-    A policy flies where it fits. Raises `ValueError` as `enlist` does.
+    A policy flies where it fits, on `fleet` or else on so many threads of this process. Raises
+    `ValueError` as `enlist` does, and what the fleet raises.
     """
     crews = enlist(configs, list(dict.fromkeys((*policies, *ANCHORS))))
-    columns = _fly_all(configs, crews, episodes, seed, threads, quiet)
+    jobs = [
+        (name, policy, seeds)
+        for name, config in configs.items()
+        for policy in crews[name].recipes
+        for seeds in chunks(seed, episodes, config.followers)
+    ]
+    flights = [Flight(configs[name], crews[name].recipes[p], seeds) for name, p, seeds in jobs]
+    columns = _collect(jobs, _fly_all(flights, threads, quiet, fleet))
     scenarios = {}
     for name, config in configs.items():
         each, crew = columns[name], crews[name]
@@ -148,37 +170,30 @@ def _measuring(config: FormationConfig, episodes: int, seed: int) -> dict[str, E
 
 
 def _fly_all(
-    configs: dict[str, FormationConfig],
-    crews: dict[str, Crew],
-    episodes: int,
-    seed: int,
-    threads: int,
-    quiet: bool,
-) -> dict[str, dict[str, Episodes]]:
-    """The episodes of every scenario and policy, in groups of worlds shared out between threads."""
-    jobs = [
-        (name, policy, seeds)
-        for name, config in configs.items()
-        for policy in crews[name].recipes
-        for seeds in chunks(seed, episodes, config.followers)
-    ]
-    ticks = sum(configs[name].max_steps * len(seeds) for name, _, seeds in jobs)
-    pilots = [crews[name].recipes[policy].make(configs[name]) for name, policy, _ in jobs]
-    bar = _Bar(ticks, quiet)
+    flights: Sequence[Flight], threads: int, quiet: bool, fleet: Fleet | None
+) -> list[Episodes]:
+    """The episodes of every flight, with a progress bar."""
+    bar = _Bar(sum(f.config.max_steps * len(f.seeds) for f in flights), quiet)
+    try:
+        return _fly_here(flights, threads, bar) if fleet is None else fleet(flights, bar.advance)
+    finally:
+        bar.close()
+
+
+def _fly_here(flights: Sequence[Flight], threads: int, bar: _Bar) -> list[Episodes]:
+    """The flights shared out between threads of this process."""
+    pilots = [flight.recipe.make(flight.config) for flight in flights]
     with ThreadPoolExecutor(threads, thread_name_prefix="evaluate") as pool:
         try:
-            flights = [
-                pool.submit(fly, pilot, seeds, bar.advance)
-                for pilot, (_, _, seeds) in zip(pilots, jobs, strict=True)
+            futures = [
+                pool.submit(fly, pilot, flight.seeds, bar.advance)
+                for pilot, flight in zip(pilots, flights, strict=True)
             ]
-            parts = [flight.result() for flight in flights]
+            return [future.result() for future in futures]
         except BaseException:
             bar.stop()
             pool.shutdown(cancel_futures=True)
             raise
-        finally:
-            bar.close()
-    return _collect(jobs, parts)
 
 
 def _collect(

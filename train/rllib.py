@@ -1,0 +1,120 @@
+"""Train a follower with RLlib's PPO: `python -m train.rllib --output DIR`. Needs the `ray` extra.
+
+The task, the network, the options and the files are those of `train.ppo`, which is several times faster
+on one machine; this one is for clusters. `--runners N` flies in N processes wherever `--address` leads,
+and the learner is here. Every machine of the cluster has to have this package installed, in the same
+version.
+
+Interrupt (Ctrl-C) once to save and stop after the update in hand; `--resume` goes on from there with
+fresh episodes.
+"""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from baselines import cluster
+
+if TYPE_CHECKING:
+    from train.rllib_options import Options
+    from train.rllib_run import Saved
+
+PROGRAM = "train.rllib"
+
+
+def _fail(message: object, status: int) -> int:
+    print(f"{PROGRAM}: error: {message}", file=sys.stderr)
+    return status
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
+    try:
+        cluster.load_ray()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # theirs, at import
+            import tyro
+
+            from train.rllib_options import Options
+            from train.rllib_run import prepare
+    except cluster.Unreachable as problem:
+        return _fail(problem, 2)
+    except ModuleNotFoundError as problem:
+        if (problem.name or "").partition(".")[0] in ("train", "baselines", "formation_env"):
+            raise
+        return _fail(f'{problem.name} is not installed: pip install "formation-env[ray]"', 2)
+    try:
+        options, saved = prepare(tyro.cli(Options, prog=f"python -m {PROGRAM}", args=arguments))
+    except ValueError as problem:
+        return _fail(problem, 2)
+    except OSError as problem:
+        return _fail(f"cannot write into {problem.filename}: {problem.strerror}", 2)
+    try:
+        with cluster.joined(options.address, max(1, options.runners)) as ray, _quietly():
+            return _train(ray, options, saved)
+    except cluster.Unreachable as problem:
+        return _fail(problem, 2)
+    except OSError as problem:
+        where = f"{problem.filename}: " if problem.filename else ""
+        return _fail(f"{where}{problem.strerror or problem}; earlier files are intact", 1)
+
+
+@contextmanager
+def _quietly() -> Iterator[None]:
+    """Without RLlib's warnings, which are many."""
+    logging.getLogger("ray").setLevel(logging.ERROR)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def _train(ray: Any, options: Options, saved: Saved | None) -> int:
+    """Train until it is done or somebody interrupts."""
+    from train.rllib_run import Run, require_cores
+
+    try:
+        require_cores(ray, options)
+        run = Run(options, saved)
+    except ValueError as problem:
+        return _fail(problem, 2)
+    asked: list[int] = []
+    before = signal.signal(signal.SIGINT, _once(asked))
+    try:
+        run.train(stop=lambda: bool(asked))
+    except KeyboardInterrupt:
+        return _fail("interrupted twice: the last checkpoint is intact", 130)
+    except ray.exceptions.RayError as problem:
+        return _fail(f"the cluster gave up ({problem}); the last checkpoint is intact", 1)
+    finally:
+        signal.signal(signal.SIGINT, before)
+        run.close()
+    if not options.quiet:
+        print(run.summary())
+    if asked:
+        print(
+            f"interrupted: saved; continue with --resume --output {options.output}", file=sys.stderr
+        )
+        return 130
+    return 0
+
+
+def _once(asked: list[int]) -> Callable[[int, Any], None]:
+    """Note the first interruption and pass on the second."""
+
+    def handle(number: int, frame: Any) -> None:
+        if asked:
+            raise KeyboardInterrupt
+        asked.append(number)
+        print("\ninterrupted: saving after this update (again to stop at once)", file=sys.stderr)
+
+    return handle
+
+
+if __name__ == "__main__":
+    sys.exit(main())

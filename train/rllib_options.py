@@ -1,0 +1,177 @@
+"""The options of `python -m train.rllib`, named as those of `train.ppo` where they are the same."""
+
+from __future__ import annotations
+
+from dataclasses import MISSING, asdict, dataclass, fields, replace
+from math import isfinite
+from pathlib import Path
+from typing import Any, Literal
+
+from formation_env import SCENARIOS, FormationConfig, configure
+from train.options import STD
+
+
+@dataclass(frozen=True)
+class Options:
+    """Train one policy, shared by all followers, with PPO on a Ray cluster."""
+
+    output: Path
+    """Folder for the policies, the log and the checkpoint."""
+    scenario: str = "nominal"
+    """Which task, as in the leaderboard."""
+    action: Literal["wrench", "rates", "reference"] | None = None
+    """Action level instead of the scenario's own."""
+    steps: int = 20_000_000
+    """Stop after so many agent steps: ticks times followers times worlds."""
+    minutes: float | None = None
+    """Stop after so many minutes, evaluations included, if that is earlier."""
+    seed: int = 0
+    """Of everything that is drawn."""
+    resume: bool = False
+    """Continue the run in the output folder with the options that it was started with; of those given
+    here only steps, minutes, runners, address and quiet count."""
+    critic: Literal["local", "central"] = "local"
+    """What the critic sees: the follower's observation, or the world's true state too."""
+
+    runners: int = 0
+    """Processes that fly, one core each, anywhere in the cluster; 0 flies in this one."""
+    address: str | None = None
+    """HOST:PORT of a Ray cluster that runs already, instead of a local one for this run alone."""
+
+    worlds: int = 64
+    """How many fly at once in each process."""
+    rollout: int = 64
+    """Ticks flown between two updates."""
+    batch: int = 1024
+    """Agent steps in a step of the optimiser."""
+    epochs: int = 5
+    """Passes over a rollout."""
+    learning_rate: float = 1e-3
+    """At the start; it falls in a straight line to a tenth at the last step."""
+    gamma: float = 0.98
+    """Discount per tick. Rewards are scaled by 1 - gamma, so that values are of order one."""
+    gae_lambda: float = 0.95
+    """Of the generalised advantage estimate."""
+    clip_range: float = 0.2
+    """Of the probability ratio."""
+    entropy: float = 0.0
+    """Weight of the entropy bonus."""
+    value: float = 0.5
+    """Weight of the value loss."""
+    gradient: float = 0.5
+    """Largest norm of a gradient."""
+    std: float | None = None
+    """Of the exploration at the start; by default fit for the action level."""
+    hidden: tuple[int, ...] = (64, 64)
+    """Widths of the hidden layers."""
+    activation: Literal["tanh", "relu"] = "tanh"
+    """Of the hidden layers."""
+
+    evaluate_every: int = 1_000_000
+    """Agent steps between two evaluations."""
+    episodes: int = 32
+    """In an evaluation."""
+    save_every: float = 1.0
+    """Minutes between two checkpoints, which also follow every evaluation."""
+    quiet: bool = False
+    """No progress bar, no lines but the errors."""
+
+    def __post_init__(self) -> None:
+        if self.scenario not in SCENARIOS:
+            _refuse("scenario", self.scenario, f"one of {', '.join(SCENARIOS)}")
+        for name, (least, most) in _WHOLE.items():
+            value = getattr(self, name)
+            if not least <= value <= most:
+                _refuse(name, value, f"a whole number from {least} to {most}")
+        for name, (low, high) in _REAL.items():
+            value = getattr(self, name)
+            if value is not None and not (isfinite(value) and low <= value <= high):
+                _refuse(name, value, f"a number from {low:g} to {high:g}")
+        if not 0 < len(self.hidden) <= 8 or not all(1 <= n <= 4096 for n in self.hidden):
+            _refuse("hidden", self.hidden, "1 to 8 widths from 1 to 4096")
+        self.config()
+
+    def config(self) -> FormationConfig:
+        """The task as the leaderboard has it. Raises `ValueError` naming a field."""
+        given: dict[str, Any] = {} if self.action is None else {"action": self.action}
+        return configure(self.scenario, **given)
+
+    def exploration(self) -> float:
+        """Standard deviation of the actions at the start."""
+        return STD[self.config().action] if self.std is None else self.std
+
+
+# Least and largest.
+_WHOLE = {
+    "steps": (1, 2**50),
+    "seed": (0, 2**32 - 1),
+    "runners": (0, 10_000),
+    "worlds": (1, 2**16),
+    "rollout": (2, 2**16),
+    "batch": (2, 2**24),
+    "epochs": (1, 1000),
+    "evaluate_every": (1, 2**50),
+    "episodes": (1, 100_000),
+}
+_REAL = {
+    "minutes": (1e-9, 1e9),
+    "learning_rate": (1e-12, 1.0),
+    "gamma": (0.0, 0.999999),
+    "gae_lambda": (0.0, 1.0),
+    "clip_range": (1e-6, 1e6),
+    "entropy": (0.0, 1e6),
+    "value": (0.0, 1e6),
+    "gradient": (1e-9, 1e9),
+    "std": (1e-6, 10.0),
+    "save_every": (0.0, 1e9),
+}
+# What a resumed run may change.
+FREE = ("steps", "minutes", "resume", "runners", "address", "quiet", "output")
+# What changes no result, or only where it lies.
+_ASIDE = ("output", "resume", "address", "quiet")
+
+
+def _refuse(name: str, value: object, expected: str) -> None:
+    raise ValueError(f"--{name.replace('_', '-')} {value}: expected {expected}")
+
+
+def _usual() -> dict[str, Any]:
+    """The defaults by name."""
+    return {f.name: None if f.default is MISSING else f.default for f in fields(Options)}
+
+
+def to_json(options: Options) -> dict[str, Any]:
+    """The options as JSON takes them."""
+    return {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
+
+
+def continued(saved: dict[str, Any], given: Options) -> Options:
+    """The options of a run to be continued: those saved with it, with the free ones as given.
+
+    Raises `ValueError` naming an option that is given otherwise than it was saved, or saved options
+    that are not these.
+    """
+    usual = _usual()
+    if set(saved) != set(usual):
+        raise ValueError("saved by another command, or by another version of this one")
+    saved = {**saved, "hidden": tuple(saved["hidden"])}
+    for name, value in asdict(given).items():
+        if name not in FREE and value not in (usual[name], saved[name]):
+            raise ValueError(
+                f"--{name.replace('_', '-')} {value}: the run was started with {saved[name]}, and "
+                "goes on with that"
+            )
+    kept = {name: value for name, value in saved.items() if name not in FREE}
+    steps = saved["steps"] if given.steps == usual["steps"] else given.steps
+    return replace(given, steps=steps, **kept)
+
+
+def command(options: Options) -> str:
+    """The command that repeats a run."""
+    words, usual = ["python -m train.rllib"], _usual()
+    for name, value in asdict(options).items():
+        if name in _ASIDE or value == usual[name]:
+            continue
+        text = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+        words.append(f"--{name.replace('_', '-')} {text}")
+    return " ".join(words)

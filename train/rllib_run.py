@@ -1,0 +1,326 @@
+"""One run of PPO on RLlib: made from options or from a checkpoint, trained, saved."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from time import perf_counter
+from typing import Any, NamedTuple, final
+
+import numpy as np
+from ray.rllib.algorithms.ppo import PPOConfig
+from ray.rllib.core import DEFAULT_MODULE_ID
+from ray.rllib.core.rl_module.rl_module import RLModuleSpec
+from ray.tune.registry import register_env
+from tqdm import tqdm
+
+import formation_env
+from baselines import files
+from baselines.files import Card, Network
+from train import checkpoint
+from train.evaluation import Judge, Row, to_csv
+from train.rllib_module import FollowerModule, exported
+from train.rllib_options import Options, command, continued, to_json
+from train.rllib_rows import FollowerRows
+from train.scales import CLIP, fixed_scales, state_scales
+
+NAME = "checkpoint.safetensors"
+BEST, LAST, LOG = "best.safetensors", "last.safetensors", "log.csv"
+_ENVIRONMENT = "formation_rows"
+
+
+class Saved(NamedTuple):
+    """What a checkpoint holds."""
+
+    steps: int
+    minutes: float
+    next_evaluation: int
+    rows: list[Row]
+    arrays: checkpoint.Arrays
+
+
+# -- the algorithm --------------------------------------------------------------------------------
+
+
+def _rows(config: dict[str, Any]) -> FollowerRows:
+    """What RLlib calls in the process of every runner."""
+    return FollowerRows(**config)
+
+
+def _model_config(options: Options) -> dict[str, Any]:
+    config = options.config()
+    mean, scale = fixed_scales(config.layout)
+    central = options.critic == "central"
+    return {
+        "mean": mean.tolist(),
+        "scale": scale.tolist(),
+        "state_scale": state_scales(config.followers).tolist() if central else [],
+        "hidden": list(options.hidden),
+        "activation": options.activation,
+        "std": options.exploration(),
+    }
+
+
+def _schedule(options: Options, steps: int) -> list[list[float]]:
+    """The learning rate from `steps` on, which are counted from 0 again."""
+    last, rate = max(options.steps, steps + 1), options.learning_rate
+    begin = rate * max(0.1, 1.0 - steps / last)
+    return [[0, begin], [max(1, last - steps), 0.1 * rate]]
+
+
+def algorithm(options: Options, steps: int = 0) -> Any:
+    """RLlib's PPO for the options, to go on from so many agent steps."""
+    config = options.config()
+    rows = options.worlds * config.followers
+    batch = rows * options.rollout * max(1, options.runners)
+    # Another one after every interruption, so that the worlds flown before do not come again. RLlib
+    # adds the runner's number to it.
+    seed = int(np.random.SeedSequence([options.seed, steps]).generate_state(1)[0]) >> 2
+    register_env(_ENVIRONMENT, _rows)
+    ppo = (
+        PPOConfig()
+        .api_stack(enable_rl_module_and_learner=True, enable_env_runner_and_connector_v2=True)
+        .environment(
+            _ENVIRONMENT,
+            env_config={
+                "config": config,
+                "central": options.critic == "central",
+                "reward_scale": 1.0 - options.gamma,
+            },
+            normalize_actions=False,  # they are in [-1, 1]; what lies outside the task clips itself
+            clip_actions=False,
+            disable_env_checking=True,
+        )
+        .env_runners(
+            num_env_runners=options.runners,
+            num_envs_per_env_runner=rows,
+            gym_env_vectorize_mode="vector_entry_point",
+            rollout_fragment_length=options.rollout,
+        )
+        .rl_module(
+            rl_module_spec=RLModuleSpec(
+                module_class=FollowerModule, model_config=_model_config(options)
+            )
+        )
+        .training(
+            lr=_schedule(options, steps),
+            gamma=options.gamma,
+            lambda_=options.gae_lambda,
+            clip_param=options.clip_range,
+            use_kl_loss=False,
+            vf_clip_param=float("inf"),
+            vf_loss_coeff=options.value,
+            entropy_coeff=options.entropy,
+            grad_clip=options.gradient,
+            grad_clip_by="global_norm",
+            train_batch_size_per_learner=batch,
+            minibatch_size=min(options.batch, batch),
+            num_epochs=options.epochs,
+        )
+        .debugging(seed=seed, log_level="ERROR")
+    )
+    return ppo.build_algo()
+
+
+# -- a run ----------------------------------------------------------------------------------------
+
+
+@final
+class Run:
+    """A run that is ready to train, on a Ray that is connected; see `prepare`."""
+
+    def __init__(self, options: Options, saved: Saved | None) -> None:
+        self.options = options
+        self._judge = Judge(options.config(), options.episodes)
+        self._before = 0 if saved is None else saved.steps
+        self.steps, self.rows = self._before, [] if saved is None else list(saved.rows)
+        self._earlier = 0.0 if saved is None else saved.minutes
+        self._next = 0 if saved is None else saved.next_evaluation
+        self._algorithm = algorithm(options, self._before)
+        if saved is not None:
+            self._restore(saved)
+        self._begun = self._saved = perf_counter()
+
+    @property
+    def minutes(self) -> float:
+        """Of wall time, all sittings together."""
+        return self._earlier + (perf_counter() - self._begun) / 60.0
+
+    def train(self, stop: Callable[[], bool] = lambda: False) -> None:
+        """Train to the limit, or until `stop` says so between two updates."""
+        o = self.options
+        most = float("inf") if o.minutes is None else o.minutes
+        with tqdm(total=o.steps, initial=self.steps, disable=o.quiet, unit=" steps",
+                  unit_scale=True) as bar:  # fmt: skip
+            while self.steps < o.steps and self.minutes < most and not stop():
+                self._maybe_evaluate()
+                result = self._algorithm.train()
+                lifetime = int(result["env_runners"]["num_env_steps_sampled_lifetime"])
+                bar.update(self._before + lifetime - self.steps)
+                self.steps = self._before + lifetime
+                if perf_counter() - self._saved >= 60.0 * o.save_every:
+                    self._save()
+            if not stop():
+                self._maybe_evaluate(last=True)
+            self._save()
+
+    def summary(self) -> str:
+        """The last line of the log in words."""
+        if not self.rows:
+            return "nothing was evaluated"
+        row, best = self.rows[-1], max(self.rows, key=lambda r: r.score)
+        return (
+            f"score {row.score:.3f} ({row.low:.3f} .. {row.high:.3f}) after {row.steps:,} agent steps "
+            f"and {row.minutes:.1f} minutes; best {best.score:.3f} at {best.steps:,}: "
+            f"{self.options.output / BEST}"
+        )
+
+    def close(self) -> None:
+        """Stop the runners."""
+        self._algorithm.stop()
+        with suppress(OSError):  # an empty folder that RLlib makes in the user's home
+            Path(self._algorithm.logdir).rmdir()
+
+    # -- scoring ----------------------------------------------------------------------------------
+
+    def weights(self) -> dict[str, Any]:
+        """The module's numbers by name."""
+        state = self._algorithm.learner_group.get_state(components="learner/rl_module")
+        weights: dict[str, Any] = state["learner"]["rl_module"][DEFAULT_MODULE_ID]
+        return weights
+
+    def made(self) -> tuple[Card, Network]:
+        """The policy as it is, with its card."""
+        o = self.options
+        config = o.config()
+        now = {}
+        if self.rows and self.rows[-1].steps == self.steps:
+            now = {o.scenario: [self.rows[-1].score, self.rows[-1].low, self.rows[-1].high]}
+        card = Card(
+            action=config.action,
+            entries=config.layout.size,
+            action_size=config.action_size,
+            scenario=o.scenario,
+            method="rllib-ppo",
+            activation=o.activation,
+            clip=CLIP,
+            command=command(o),
+            seed=o.seed,
+            steps=self.steps,
+            minutes=self.minutes,
+            package=formation_env.__version__,
+            score=now,
+        )
+        return card, exported(self.weights(), o.exploration())
+
+    def _maybe_evaluate(self, last: bool = False) -> None:
+        """One line of the log if it is time for one, and the best policy if it is."""
+        evaluated = bool(self.rows) and self.rows[-1].steps == self.steps
+        if evaluated or not (last or self.steps >= self._next):
+            return
+        o = self.options
+        score, columns = self._judge.judge(*self.made())
+        row = Row(
+            self.steps,
+            self.minutes,
+            score.value,
+            score.low,
+            score.high,
+            float(columns["return"].mean()),
+            float(columns["slot_error_rms"].mean()),
+            float(columns["failed"].mean()),
+            o.seed,
+        )
+        best = all(row.score > other.score for other in self.rows)
+        self.rows.append(row)
+        self._next = (self.steps // o.evaluate_every + 1) * o.evaluate_every
+        if best:
+            files.save(o.output / BEST, *self.made())  # now with its score
+        checkpoint.write(o.output / LOG, to_csv(self.rows).encode())
+        self._save()
+
+    # -- files ------------------------------------------------------------------------------------
+
+    def _save(self) -> None:
+        """Write the policy and the checkpoint: numbers and JSON, which RLlib's own are not."""
+        files.save(self.options.output / LAST, *self.made())
+        state = self._algorithm.learner_group.get_state(components="learner/optimizer")
+        ((_, optimiser),) = state["learner"]["optimizer"].items()
+        arrays = {f"module/{k}": np.asarray(v) for k, v in self.weights().items()}
+        arrays |= {
+            f"optimiser/{index}.{name}": np.asarray(value)
+            for index, each in optimiser["state"]["state"].items()
+            for name, value in each.items()
+        }
+        facts = {
+            "options": to_json(self.options),
+            "steps": self.steps,
+            "minutes": self.minutes,
+            "next_evaluation": self._next,
+            "rows": [list(row) for row in self.rows],
+        }
+        checkpoint.save(self.options.output / NAME, facts, arrays)
+        self._saved = perf_counter()
+
+    def _restore(self, saved: Saved) -> None:
+        """Give the learner what `_save` wrote, and the runners its weights.
+
+        Raises `ValueError` where it does not fit the network, as after a change of the observation.
+        """
+        own = {name: np.shape(x) for name, x in self.weights().items()}
+        if own != {k: x.shape for k, x in checkpoint.group(saved.arrays, "module").items()}:
+            path = self.options.output / NAME
+            raise ValueError(f"{path}: the network in it is not the one of its own options")
+        group = self._algorithm.learner_group
+        state = group.get_state(components=["learner/rl_module", "learner/optimizer"])["learner"]
+        state["rl_module"][DEFAULT_MODULE_ID] = checkpoint.group(saved.arrays, "module")
+        moments: dict[int, dict[str, Any]] = {}
+        for key, array in checkpoint.group(saved.arrays, "optimiser").items():
+            index, name = key.split(".")
+            moments.setdefault(int(index), {})[name] = array
+        ((_, optimiser),) = state["optimizer"].items()
+        optimiser["state"] = {**optimiser["state"], "state": moments}
+        group.set_state({"learner": {k: state[k] for k in ("rl_module", "optimizer")}})
+        self._algorithm.env_runner_group.sync_weights(from_worker_or_learner_group=group)
+
+
+# -- making one -----------------------------------------------------------------------------------
+
+
+def prepare(options: Options) -> tuple[Options, Saved | None]:
+    """The options to run with and what to go on from, in a folder that can be written.
+
+    Raises `ValueError` for options that cannot be, `OSError` for the folder.
+    """
+    path = options.output / NAME
+    if not options.resume:
+        if path.exists():
+            raise ValueError(f"{path} exists: go on with --resume, or choose another folder")
+        _prepare_folder(options.output)
+        return options, None
+    facts, arrays = checkpoint.load(path)
+    try:
+        options = continued(facts.get("options", {}), options)
+        rows = [Row(*row) for row in facts["rows"]]
+        times = (facts["steps"], facts["minutes"], facts["next_evaluation"])
+    except (KeyError, TypeError, ValueError) as problem:
+        raise ValueError(f"{path}: {problem}") from None
+    _prepare_folder(options.output)
+    return options, Saved(*times, rows, arrays)
+
+
+def _prepare_folder(folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    probe = folder / ".writable"
+    checkpoint.write(probe, b"")
+    probe.unlink()
+
+
+def require_cores(ray: Any, options: Options) -> None:
+    """Raises `ValueError` where the runners would wait for cores forever."""
+    cores = int(ray.cluster_resources().get("CPU", 0))
+    if options.runners > cores:
+        raise ValueError(
+            f"--runners {options.runners}: the cluster has {cores} cores, one for each is needed"
+        )
