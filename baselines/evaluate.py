@@ -32,6 +32,8 @@ from baselines.scoring import EPISODES, Fleet, Report, enlist, evaluate
 from formation_env import SCENARIOS, FormationConfig, configure
 from formation_env.config import LEVELS
 
+# Of the leaderboard: the tasks at their own action level, and those with policies at the others.
+SHOWN = (*SCENARIOS, "nominal:rates", "nominal:reference", "paper:rates", "paper:reference")
 BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"
 
 
@@ -150,8 +152,9 @@ def _parser() -> _Parser:
     add("--policies", type=_policies, default=argparse.SUPPRESS, metavar="NAMES",
         help=f"comma-separated, of {', '.join((*POLICIES, *METHODS))} (learned ones from the files that "
         f"are shipped) and paths of your own *{SUFFIX} files (default: all but the latter)")  # fmt: skip
-    add("--scenarios", type=_scenarios, default=",".join(SCENARIOS), metavar="NAMES",
-        help=f"comma-separated, of {', '.join(SCENARIOS)}; NAME:LEVEL at another action level")  # fmt: skip
+    add("--scenarios", type=_scenarios, metavar="NAMES",
+        help=f"comma-separated, of {', '.join(SCENARIOS)} (all; with --leaderboard also those that "
+        "policies are shipped for); NAME:LEVEL at another action level")  # fmt: skip
     add("--episodes", type=_whole(1, 1_000_000), default=EPISODES, metavar="N",
         help="for each scenario and policy")  # fmt: skip
     add("--seed", type=_whole(0, 2**32), default=0, metavar="N", help="of the first episode")
@@ -212,7 +215,7 @@ def _check_readme(checkout: Path) -> None:
 def _command(options: argparse.Namespace, everybody: list[str]) -> str:
     """The command that repeats the figures: without what does not change them."""
     words = ["python -m baselines.evaluate"]
-    chosen = {"policies": everybody, "scenarios": list(SCENARIOS)}
+    chosen = {"policies": everybody, "scenarios": list(SHOWN)}
     for name, everything in chosen.items():
         if getattr(options, name) != everything:
             words.append(f"--{name} {shlex.quote(','.join(getattr(options, name)))}")
@@ -236,6 +239,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
     parser = _parser()
     options = parser.parse_args(arguments)
+    if options.scenarios is None:
+        options.scenarios = list(SCENARIOS if options.leaderboard is None else SHOWN)
     try:
         configs = _configs(options)
         everybody = available(configs.values())

@@ -18,6 +18,7 @@ The JSON document, `results.json` (no NaN: a figure that no episode has is null)
 
 with `estimate = {"value", "low", "high", "episodes"}`: the mean over so many episodes (of `settling_time`
 the median) and its 95 % interval. `difference_to_expert` is the mean of policy minus expert on equal seeds.
+`difference_to_tuned`, the same to `expert-tuned`, is there if that has flown.
 `expert_measuring` is the expert where velocities and accelerations are measured instead of differenced
 from positions; it is flown only where that may explain why another policy scores above the expert.
 """
@@ -81,6 +82,7 @@ def _result(result: Result) -> dict[str, Any]:
         "metrics": _estimates(result.summary),
         "difference_to_expert": _estimates(result.differences),
         "failures": result.failures,
+        **({"difference_to_tuned": _estimates(result.to_tuned)} if result.to_tuned else {}),
     }
 
 
@@ -182,6 +184,10 @@ def _details(scenario: Scenario) -> str:
     for name in COMPARED:
         cells = [signed(r.differences[name]) for r in results.values()]
         rows.append([f"{name} minus expert's", *cells])
+    if all(r.to_tuned for r in results.values()):
+        for name in COMPARED:
+            cells = [signed(r.to_tuned[name]) for r in results.values()]
+            rows.append([f"{name} minus expert-tuned's", *cells])
     rows.append(["failures", *(_failures(r.failures) for r in results.values())])
     return _markdown(rows)
 

@@ -21,6 +21,7 @@ from formation_env import FeasibilityWarning, FormationConfig
 EPISODES = 100
 # The policies that the score is normalised with.
 ANCHORS = ("expert", "hover")
+TUNED = "expert-tuned"
 # What is compared with the expert's seed by seed.
 COMPARED = ("return", "slot_error_rms")
 
@@ -30,8 +31,9 @@ class Result(NamedTuple):
 
     score: Estimate
     summary: dict[str, Estimate]
-    differences: dict[str, Estimate]
+    differences: dict[str, Estimate]  # to the expert
     failures: dict[str, int]
+    to_tuned: dict[str, Estimate]  # differences to the expert with searched gains, if it has flown
 
 
 class Source(NamedTuple):
@@ -74,8 +76,11 @@ class Report(NamedTuple):
     scenarios: dict[str, Scenario]
 
 
-def judge(columns: Episodes, hover: Episodes, expert: Episodes) -> Result:
-    """A policy's result from its episodes and those of hover and expert on the same seeds."""
+def judge(
+    columns: Episodes, hover: Episodes, expert: Episodes, tuned: Episodes | None = None
+) -> Result:
+    """A policy's result from its episodes and those of the policies it is compared with on the same
+    seeds."""
     returns = [each["return"] for each in (columns, hover, expert)]
     kinds = np.bincount(columns["failure"].astype(np.int64), minlength=len(KINDS))
     return Result(
@@ -83,6 +88,7 @@ def judge(columns: Episodes, hover: Episodes, expert: Episodes) -> Result:
         summarise(columns),
         {name: difference(columns, expert, name) for name in COMPARED},
         {kind: int(kinds[k]) for k, kind in enumerate(KINDS) if k > 0},
+        {} if tuned is None else {name: difference(columns, tuned, name) for name in COMPARED},
     )
 
 
@@ -143,7 +149,8 @@ def evaluate(
     for name, config in configs.items():
         each, crew = columns[name], crews[name]
         flown = [p for p in policies if p in crew.recipes]
-        results = {p: judge(each[p], each["hover"], each["expert"]) for p in flown}
+        others = each["hover"], each["expert"], each.get(TUNED)
+        results = {p: judge(each[p], *others) for p in flown}
         measuring = None
         if config.estimator == "differenced" and above_expert(results):
             measuring = _measuring(config, episodes, seed)
