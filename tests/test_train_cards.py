@@ -292,8 +292,8 @@ def test_ship_refuses_a_policy_that_does_not_fit_or_is_too_large(
     refused(checkout, capsys, "observation entries", "--ship", short)
     odd = a_run(tmp_path / "odd", card(scenario="elsewhere"))
     refused(checkout, capsys, "'elsewhere'", "--ship", odd)
-    unknown = a_run(tmp_path / "unknown", card(method="dagger-ppo"))
-    refused(checkout, capsys, "'dagger-ppo'", "--ship", unknown)
+    unknown = a_run(tmp_path / "unknown", card(method="home-made"))
+    refused(checkout, capsys, "'home-made'", "--ship", unknown)
     large = a_run(tmp_path / "large", None, policy(hidden=6000))
     refused(checkout, capsys, "bytes: expected at most", "--ship", large)
 
