@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 @contextmanager
 def _quietly() -> Iterator[None]:
     """Without RLlib's warnings, which are many."""
-    logging.getLogger("ray").setLevel(logging.ERROR)
+    logging.getLogger("ray.rllib").setLevel(logging.ERROR)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield

@@ -23,7 +23,7 @@ os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
 os.environ["RAY_AUTH_MODE"] = "token"
 os.environ["RAY_AUTH_TOKEN"] = uuid.uuid4().hex
 
-LIMIT = 240  # s for each test, of which the first compile is most
+LIMIT = 400  # s for each test, of which the first compile is most
 
 
 def pytest_configure(config: pytest.Config) -> None:
