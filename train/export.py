@@ -5,7 +5,8 @@ from __future__ import annotations
 import torch
 
 from baselines.files import Card, Network
-from train.networks import CLIP, FollowerPolicy, state_scales
+from train.networks import FollowerPolicy
+from train.scales import CLIP, state_scales
 
 
 def network(policy: FollowerPolicy, entries: int) -> Network:

@@ -22,8 +22,9 @@ from train import checkpoint
 from train.callbacks import Diary, Keeper, shares
 from train.evaluation import TRAINING_SEEDS, Judge, Row
 from train.export import adopt, hidden_sizes, network
-from train.networks import CLIP, FollowerPolicy, Spread, fixed_scales, state_scales
+from train.networks import FollowerPolicy, Spread
 from train.options import FINE, STD, Options, command, continued, to_json
+from train.scales import CLIP, fixed_scales, state_scales
 from train.vec import FollowerVecEnv
 
 RESIDUAL_STD = 0.3  # of the exploration, as part of the bound
