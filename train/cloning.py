@@ -1,5 +1,6 @@
-"""What behaviour cloning and DAgger are made of: flights that a teacher comments on, a bounded memory
-of them, and a network fitted to what the teacher said.
+"""What behaviour cloning and DAgger are made of.
+
+Flights that a teacher comments on, a bounded memory of them, and a network fitted to what it said.
 """
 
 from __future__ import annotations
