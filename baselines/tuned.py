@@ -97,7 +97,7 @@ def read(path: Path = GAINS) -> Table:
     gain too many, missing, not finite or against a condition of the paper.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_named_once)
         return {
             (scenario, action): _gains(entry, f"{scenario}.{action}", action)
             for scenario, actions in _entries(document).items()
@@ -109,6 +109,14 @@ def read(path: Path = GAINS) -> Table:
         raise ValueError(f"{path}: {problem}; expected JSON") from None
     except ValueError as problem:
         raise ValueError(f"{path}: {problem}") from None
+
+
+def _named_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object no name of which stands twice, where JSON would silently keep the last."""
+    named = dict(pairs)
+    twice = sorted({name for name, _ in pairs if sum(name == other for other, _ in pairs) > 1})
+    require(len(named) == len(pairs), "object", twice, "every name once")
+    return named
 
 
 def _object(value: Any, where: str, names: tuple[str, ...] | None = None) -> dict[str, Any]:

@@ -188,3 +188,12 @@ def test_what_is_no_file_of_gains_is_refused(tmp_path: Path, text: str) -> None:
     path.write_text(text)
     with pytest.raises(ValueError, match=r"gains.json: .*expected"):
         read(path)
+
+
+def test_a_name_that_stands_twice_is_refused(tmp_path: Path, document: dict[str, Any]) -> None:
+    """As after a merge gone wrong: JSON would keep the last and drop the other's gains silently."""
+    path = tmp_path / "gains.json"
+    gains = json.dumps(document["gains"]["nominal"])
+    path.write_text(f'{{"version": 1, "gains": {{"nominal": {gains}, "nominal": {gains}}}}}')
+    with pytest.raises(ValueError, match=r"gains.json: .*'nominal'.*every name once"):
+        read(path)
