@@ -19,7 +19,7 @@ from formation_env import FormationConfig
 from formation_env.simulation import Simulation, seeded_key
 from formation_env.task import Layout
 from train.evaluation import TRAINING_SEEDS
-from train.networks import CLIP, fixed_scales
+from train.scales import CLIP, fixed_scales
 
 Rows = NDArray[np.float32]
 
