@@ -29,6 +29,7 @@ from baselines.explanations import explanations
 from baselines.files import SUFFIX
 from baselines.registry import METHODS, POLICIES, available, is_policy
 from baselines.scoring import EPISODES, Fleet, Report, enlist, evaluate
+from baselines.writing import write_text
 from formation_env import SCENARIOS, FormationConfig, configure
 from formation_env.config import LEVELS
 
@@ -38,19 +39,6 @@ BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"
 
 
 # -- files ----------------------------------------------------------------------------------------
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file whole or not at all: whoever is interrupted leaves the old one."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
 
 
 def leaderboard(result: Report, command: str) -> str:

@@ -14,7 +14,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -23,6 +22,7 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.writing import write_bytes
 from formation_env.config import LEVELS
 from formation_env.task import Layout
 
@@ -264,24 +264,10 @@ def save(path: str | os.PathLike[str], card: Card, network: Network) -> None:
     except ValueError as problem:
         raise ValueError(f"{path}: {problem}") from None
     try:
-        _write(path, data)
+        write_bytes(path, data)
     except OSError as problem:
         reason = problem.strerror or problem
         raise OSError(problem.errno, f"cannot write the policy: {reason}", str(path)) from problem
-
-
-def _write(path: Path, data: bytes) -> None:
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
 
 
 def load(path: str | os.PathLike[str]) -> tuple[Card, Network]:

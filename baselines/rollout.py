@@ -32,6 +32,14 @@ def chunks(seed: int, count: int, followers: int, vehicles: int = _VEHICLES) -> 
     return (range(a, b) for a, b in pairwise(edges))
 
 
+def fly_all(policy: Policy, seeds: range) -> Episodes:
+    """The episodes of any number of consecutive `seeds`, group by group."""
+    parts = [
+        fly(policy, group) for group in chunks(seeds.start, len(seeds), policy.config.followers)
+    ]
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
 def fly(policy: Policy, seeds: range, progress: Callable[[int], None] | None = None) -> Episodes:
     """One episode for each of the consecutive `seeds`; the columns are `metrics.EPISODE`.
 

@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip("tyro")
 pytest.importorskip("cma")
 
+from baselines import rollout
 from baselines.tuned import lawful, own, read
 from formation_env import SCENARIOS, configure
 from train import tune_expert
@@ -134,7 +135,7 @@ def test_a_small_search_improves_detuned_gains(
     assert list(read(gains)) == [("nominal", "wrench")]
 
     # Stopped in the midst of the second choice of feedforward.
-    plain, count = tune_expert.fly, [0]
+    plain, count = rollout.fly, [0]
 
     def stopping(*given: Any) -> Any:
         count[0] += 1
@@ -144,7 +145,7 @@ def test_a_small_search_improves_detuned_gains(
 
     words = [*TINY, "--output", f"{tmp_path / 'b'}", "--gains", f"{other}"]
     with monkeypatch.context() as patch:
-        patch.setattr(tune_expert, "fly", stopping)
+        patch.setattr(rollout, "fly", stopping)
         assert main(words) == 130
     journal = json.loads((tmp_path / "b" / "nominal-wrench.json").read_text())
     assert 18 <= journal["evaluations"] < 36 and journal["result"] is None
@@ -220,7 +221,7 @@ def test_gains_that_overflow_are_the_worst(monkeypatch: pytest.MonkeyPatch) -> N
         def fly(*_: Any) -> Any:
             raise ValueError(text)
 
-        monkeypatch.setattr(tune_expert, "fly", fly)
+        monkeypatch.setattr(rollout, "fly", fly)
 
     policy = tune_expert.ExpertTuned(configure("nominal"))
     refuse("action of follower_1 of world 7 = [nan]: expected finite numbers")

@@ -11,7 +11,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from baselines.files import Card, Network
 from train.checkpoint import write
-from train.evaluation import Judge, Row, to_csv
+from train.evaluation import Judge, Row, line, to_csv
 
 BEST, LAST, LOG = "best.safetensors", "last.safetensors", "log.csv"
 
@@ -92,17 +92,7 @@ class Keeper(BaseCallback):
         begun = perf_counter()
         made = self._policy()
         score, columns = self._judge.judge(*made)
-        row = Row(
-            self.num_timesteps,
-            self.minutes,
-            score.value,
-            score.low,
-            score.high,
-            float(columns["return"].mean()),
-            float(columns["slot_error_rms"].mean()),
-            float(columns["failed"].mean()),
-            made[0].seed,
-        )
+        row = line(self.num_timesteps, self.minutes, score, columns, made[0].seed)
         best = all(row.score > other.score for other in self.rows)
         self.rows.append(row)
         self._next = (self.num_timesteps // self._evaluate_every + 1) * self._evaluate_every

@@ -23,8 +23,8 @@ from typing import NoReturn, final
 
 from baselines.cells import scored as shown
 from baselines.cells import signed
-from baselines.evaluate import write_text
 from baselines.scoring import EPISODES
+from baselines.writing import write_text
 from train import guide, shipping
 
 PROGRAM = "train.cards"

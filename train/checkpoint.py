@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+
+from baselines.writing import write_bytes
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -22,19 +22,17 @@ _KEY = "run"
 def write(path: Path, data: bytes) -> None:
     """Write a file whole or not at all. Raises `OSError` naming it; the earlier one is kept."""
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            os.chmod(name, 0o644)
-            os.replace(name, path)
-        except BaseException:
-            Path(name).unlink(missing_ok=True)
-            raise
+        write_bytes(path, data)
     except OSError as problem:
         raise OSError(problem.errno, f"cannot write: {problem.strerror}", str(path)) from problem
+
+
+def prepare_folder(folder: Path) -> None:
+    """Make it if need be. Raises `OSError` where nothing can be written into it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    probe = folder / ".writable"
+    write(probe, b"")
+    probe.unlink()
 
 
 def save(path: Path, facts: dict[str, Any], arrays: Arrays) -> None:
@@ -78,12 +76,21 @@ def optimiser_state(optimiser: torch.optim.Optimizer) -> Arrays:
     }
 
 
-def restore_optimiser(optimiser: torch.optim.Optimizer, arrays: Arrays) -> None:
-    """Take back what `optimiser_state` gave."""
-    state: dict[int, dict[str, torch.Tensor]] = {}
+def moments(arrays: Arrays) -> dict[int, Arrays]:
+    """What `optimiser_state` gave, by the parameter's number."""
+    numbered: dict[int, Arrays] = {}
     for key, array in arrays.items():
         index, name = key.split(".")
-        state.setdefault(int(index), {})[name] = torch.from_numpy(array.copy())
+        numbered.setdefault(int(index), {})[name] = array
+    return numbered
+
+
+def restore_optimiser(optimiser: torch.optim.Optimizer, arrays: Arrays) -> None:
+    """Take back what `optimiser_state` gave."""
+    state = {
+        index: {name: torch.from_numpy(array.copy()) for name, array in each.items()}
+        for index, each in moments(arrays).items()
+    }
     groups = optimiser.state_dict()["param_groups"]
     optimiser.load_state_dict({"state": state, "param_groups": groups})
 

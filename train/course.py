@@ -14,9 +14,9 @@ import torch
 
 import formation_env
 from baselines import files, make_policy
-from train.checkpoint import write
+from train.checkpoint import prepare_folder, write
 from train.cloning import Clone, Flight, Memory
-from train.evaluation import Judge, Row, to_csv
+from train.evaluation import Judge, Row, line, to_csv
 from train.imitate import Options
 
 BEST, LOG = "best.safetensors", "log.csv"
@@ -139,10 +139,7 @@ class Course:
         )
         network = self.clone.network()
         score, columns = judge.judge(card, network)
-        value, low, high = (float(x) for x in score[:3])
-        names = ("return", "slot_error_rms", "failed")
-        earned, error, failed = (float(columns[name].mean()) for name in names)
-        row = Row(self.samples, minutes, value, low, high, earned, error, failed, o.seed)
+        row = line(self.samples, minutes, score, columns, o.seed)
         best = all(row.score > other.score for other in self.rows)
         self.rows.append(row)
         if best:
@@ -166,9 +163,7 @@ def _prepare(options: Options) -> None:
     path = options.output / BEST
     if path.exists():
         raise ValueError(f"{path} exists: expected another --output")
-    options.output.mkdir(parents=True, exist_ok=True)
-    write(options.output / ".writable", b"")
-    (options.output / ".writable").unlink()
+    prepare_folder(options.output)
 
 
 @final

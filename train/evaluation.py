@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from typing import NamedTuple, final
 
-import numpy as np
-
 from baselines.expert import Expert
 from baselines.files import Card, Network
 from baselines.intervals import Estimate, estimate, normalised
 from baselines.learned import Learned
 from baselines.policy import Policy
-from baselines.rollout import Episodes, chunks, fly
+from baselines.rollout import Episodes, fly_all
 from baselines.simple import Hover
 from formation_env import FormationConfig
 
@@ -32,6 +30,14 @@ class Row(NamedTuple):
     slot_error_rms: float  # m
     failed: float  # part of the episodes
     seed: int  # of the run
+
+
+def line(steps: int, minutes: float, score: Estimate, columns: Episodes, seed: int) -> Row:
+    """The line of a policy that has been judged."""
+    value, low, high = (float(x) for x in score[:3])
+    names = ("return", "slot_error_rms", "failed")
+    earned, error, failed = (float(columns[name].mean()) for name in names)
+    return Row(steps, minutes, value, low, high, earned, error, failed, seed)
 
 
 HEADER = "steps,minutes,score,low,high,return,slot_error_rms,failed,seed\n"
@@ -56,9 +62,7 @@ class Judge:
         self._expert = self._fly(Expert(config))["return"]
 
     def _fly(self, policy: Policy) -> Episodes:
-        groups = chunks(EVALUATION_SEEDS, self.episodes, self.config.followers)
-        parts = [fly(policy, seeds) for seeds in groups]
-        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        return fly_all(policy, range(EVALUATION_SEEDS, EVALUATION_SEEDS + self.episodes))
 
     def judge(self, card: Card, network: Network) -> tuple[Estimate, Episodes]:
         """The normalised score with its interval, and the metrics of every episode."""

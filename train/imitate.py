@@ -11,16 +11,15 @@ take; and `log.csv`, the score against samples and minutes. An interruption (Ctr
 
 from __future__ import annotations
 
-import shlex
 import sys
 import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
-from math import isfinite
 from pathlib import Path
 from typing import Literal, final
 
-from formation_env import SCENARIOS, FormationConfig, configure
+from formation_env import FormationConfig, configure
+from train.command_line import check, fail, refuse, repeated
 
 PROGRAM = "train.imitate"
 
@@ -87,20 +86,9 @@ class Options:
 
     def check(self) -> FormationConfig:
         """The task. Raises `ValueError` naming the option that is impossible."""
-        if self.scenario not in SCENARIOS:
-            _refuse("scenario", self.scenario, f"one of {', '.join(SCENARIOS)}")
-        for name, (least, most) in _WHOLE.items():
-            value = getattr(self, name)
-            if not least <= value <= most:
-                _refuse(name, value, f"a whole number from {least} to {most}")
-        for name, (low, high) in _REAL.items():
-            value = getattr(self, name)
-            if not (isfinite(value) and low <= value <= high):
-                _refuse(name, value, f"a number from {low:g} to {high:g}")
-        if not 0 < len(self.hidden) <= 8 or not all(1 <= n <= 4096 for n in self.hidden):
-            _refuse("hidden", self.hidden, "1 to 8 widths from 1 to 4096")
+        check(self, _WHOLE, _REAL)
         if self.buffer < self.ticks + self.history:
-            _refuse("buffer", self.buffer, "at least ticks and history together")
+            refuse("buffer", self.buffer, "at least ticks and history together")
         return (
             configure(self.scenario)
             if self.action is None
@@ -109,14 +97,8 @@ class Options:
 
     def command(self) -> str:
         """The command that repeats a run, without what does not change its result."""
-        words = ["python", "-m", PROGRAM]
         usual = {f.name: f.default for f in fields(self)}
-        for name, value in asdict(self).items():
-            if name in _IDLE or value == usual[name]:
-                continue
-            values = value if isinstance(value, tuple) else (value,)
-            words += [f"--{name.replace('_', '-')}", *map(str, values)]
-        return shlex.join(words)
+        return repeated(PROGRAM, asdict(self), usual, _IDLE)
 
 
 # Least and largest.
@@ -143,15 +125,6 @@ _REAL = {
 _IDLE = ("output", "tensorboard", "threads", "quiet")
 
 
-def _refuse(name: str, value: object, expected: str) -> None:
-    raise ValueError(f"--{name.replace('_', '-')} {value}: expected {expected}")
-
-
-def _fail(message: object, status: int) -> int:
-    print(f"{PROGRAM}: error: {message}", file=sys.stderr)
-    return status
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
     try:
@@ -161,23 +134,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
             from train.course import Course
     except ModuleNotFoundError as problem:
-        return _fail(f'{problem.name} is not installed: pip install "formation-env[train]"', 2)
+        return fail(
+            PROGRAM, f'{problem.name} is not installed: pip install "formation-env[train]"', 2
+        )
     options = tyro.cli(Options, prog=f"python -m {PROGRAM}", description=__doc__, args=arguments)
     try:
         course = Course(options)
     except ValueError as problem:
-        return _fail(problem, 2)
+        return fail(PROGRAM, problem, 2)
     except OSError as problem:
-        return _fail(f"cannot write into {problem.filename}: {problem.strerror}", 2)
+        return fail(PROGRAM, f"cannot write into {problem.filename}: {problem.strerror}", 2)
     except KeyboardInterrupt:
-        return _fail("interrupted: nothing was written", 130)
+        return fail(PROGRAM, "interrupted: nothing was written", 130)
     try:
         course.take()
     except OSError as problem:
         where = f"{problem.filename}: " if problem.filename else ""
-        return _fail(f"{where}{problem.strerror or problem}; earlier files are intact", 1)
+        return fail(PROGRAM, f"{where}{problem.strerror or problem}; earlier files are intact", 1)
     except KeyboardInterrupt:
-        return _fail(f"interrupted: {course.summary()}", 130)
+        return fail(PROGRAM, f"interrupted: {course.summary()}", 130)
     if not options.quiet:
         print(course.summary())
     return 0

@@ -229,7 +229,7 @@ def prepare(options: Options) -> Run:
     source = None if options.init is None else files.load(options.init)
     if source is not None:
         options = _fitted(options, *source)
-    _prepare_folder(options.output)
+    checkpoint.prepare_folder(options.output)
     return Run(options, _method(options, source), source)
 
 
@@ -239,20 +239,13 @@ def _resumed(path: Path, given: Options) -> Run:
         options = continued(facts.get("options", {}), given)
     except ValueError as problem:
         raise ValueError(f"{path}: {problem}") from None
-    _prepare_folder(options.output)
+    checkpoint.prepare_folder(options.output)
     try:
         run = Run(options, facts["method"])
         run.restore(facts, arrays)
     except (KeyError, RuntimeError, TypeError, ValueError) as problem:
         raise ValueError(f"{path}: does not fit its own options ({problem})") from None
     return run
-
-
-def _prepare_folder(folder: Path) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    probe = folder / ".writable"
-    checkpoint.write(probe, b"")
-    probe.unlink()
 
 
 def _fitted(options: Options, card: Card, net: Network) -> Options:

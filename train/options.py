@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 from dataclasses import MISSING, asdict, dataclass, field, fields
-from math import isfinite
 from pathlib import Path
 from typing import Any, Literal
 
-from formation_env import SCENARIOS, FormationConfig, configure
+from formation_env import FormationConfig, configure
+from train.command_line import check, flag, repeated
 
 # Of the exploration at the start, by action level: about how far apart the actions are that matter.
 STD = {"wrench": 0.05, "rates": 0.05, "reference": 0.3}
@@ -97,18 +97,7 @@ class Options:
     """No progress bar, no lines but the errors."""
 
     def __post_init__(self) -> None:
-        if self.scenario not in SCENARIOS:
-            _refuse("scenario", self.scenario, f"one of {', '.join(SCENARIOS)}")
-        for name, (least, most) in _WHOLE.items():
-            value = getattr(self, name)
-            if not least <= value <= most:
-                _refuse(name, value, f"a whole number from {least} to {most}")
-        for name, (low, high) in _REAL.items():
-            value = getattr(self, name)
-            if value is not None and not (isfinite(value) and low <= value <= high):
-                _refuse(name, value, f"a number from {low:g} to {high:g}")
-        if not 0 < len(self.hidden) <= 8 or not all(1 <= n <= 4096 for n in self.hidden):
-            _refuse("hidden", self.hidden, "1 to 8 widths from 1 to 4096")
+        check(self, _WHOLE, _REAL)
         self.training_config()
 
     def config(self) -> FormationConfig:
@@ -157,10 +146,6 @@ _REAL = {
 FREE = ("steps", "minutes", "resume", "profile", "quiet", "output")
 
 
-def _refuse(name: str, value: object, expected: str) -> None:
-    raise ValueError(f"--{name.replace('_', '-')} {value}: expected {expected}")
-
-
 def to_json(options: Options) -> dict[str, Any]:
     """The options as JSON takes them."""
     return {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
@@ -179,8 +164,7 @@ def continued(saved: dict[str, Any], given: Options) -> Options:
         old = tuple(saved[name]) if isinstance(saved[name], list) else saved[name]
         if name not in FREE and value not in (usual[name], old):
             raise ValueError(
-                f"--{name.replace('_', '-')} {value}: the run was started with {old}, and "
-                "goes on with that"
+                f"{flag(name)} {value}: the run was started with {old}, and goes on with that"
             )
     steps = saved["steps"] if given.steps == usual["steps"] else given.steps
     together = {**saved, **{name: getattr(given, name) for name in FREE}, "steps": steps}
@@ -202,10 +186,5 @@ def _usual() -> dict[str, Any]:
 
 def command(options: Options) -> str:
     """The command that repeats a run, without what does not change its result."""
-    words, usual = ["python -m train.ppo"], _usual()
-    for name, value in to_json(options).items():
-        if name in ("output", "resume", "profile", "quiet", "threads") or value == usual[name]:
-            continue
-        text = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
-        words.append(f"--{name.replace('_', '-')} {text}")
-    return " ".join(words)
+    idle = ("output", "resume", "profile", "quiet", "threads")
+    return repeated("train.ppo", to_json(options), _usual(), idle)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.writing import write_bytes
 from train.logs import Curve, Key, to_text
 
 Floats = NDArray[np.float64]
@@ -103,7 +102,7 @@ def draw(curves: Sequence[Curve], path: Path) -> None:
         lines, labels = axes[0].get_legend_handles_labels()
         figure.legend(lines, labels, loc="outside lower center", ncols=min(len(lines), 5))
         canvas.draw()  # type: ignore[no-untyped-call]
-    _write(path, _png(canvas, digest(curves)))
+    write_bytes(path, _png(canvas, digest(curves)))
 
 
 def _png(canvas: Any, source: str) -> bytes:
@@ -165,19 +164,6 @@ def _finish(axes: Any, curves: Sequence[Curve]) -> None:
     axes[0].set_ylabel("score")
     key = curves[0].key
     axes[0].set_title(f"{key.scenario}, {key.action}", loc="left", fontsize=9.5)
-
-
-def _write(path: Path, data: bytes) -> None:
-    """Whole or not at all."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
 
 
 def picture_name(key: Key) -> str:

@@ -10,21 +10,17 @@ The score is the leaderboard's, on seeds that neither training nor leaderboard u
 
 from __future__ import annotations
 
-import signal
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
+
+from train.command_line import fail, interruptions
 
 if TYPE_CHECKING:
     from train.options import Options
 
 PROGRAM = "train.ppo"
-
-
-def _fail(message: object, status: int) -> int:
-    print(f"{PROGRAM}: error: {message}", file=sys.stderr)
-    return status
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -41,55 +37,39 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ModuleNotFoundError as problem:
         if (problem.name or "").partition(".")[0] in ("train", "baselines", "formation_env"):
             raise
-        return _fail(f'{problem.name} is not installed: pip install "formation-env[train]"', 2)
+        return fail(
+            PROGRAM, f'{problem.name} is not installed: pip install "formation-env[train]"', 2
+        )
     try:
         options = tyro.cli(Options, prog=f"python -m {PROGRAM}", args=arguments)
         run = prepare(options)
     except ValueError as problem:
-        return _fail(problem, 2)
+        return fail(PROGRAM, problem, 2)
     except OSError as problem:
-        return _fail(f"cannot write into {problem.filename}: {problem.strerror}", 2)
+        return fail(PROGRAM, f"cannot write into {problem.filename}: {problem.strerror}", 2)
     return _train(run, options)
 
 
 def _train(run: Any, options: Options) -> int:
     """Train until it is done or somebody interrupts."""
-    asked: list[int] = []
-    before = signal.signal(signal.SIGINT, _once(asked, options.quiet))
     try:
-        run.train(stop=lambda: bool(asked))
+        with interruptions(options.quiet) as asked:
+            run.train(stop=asked)
     except KeyboardInterrupt:
-        return _fail("interrupted twice: the last checkpoint is intact", 130)
+        return fail(PROGRAM, "interrupted twice: the last checkpoint is intact", 130)
     except OSError as problem:
         where = f"{problem.filename}: " if problem.filename else ""
-        return _fail(f"{where}{problem.strerror or problem}; earlier files are intact", 1)
-    finally:
-        signal.signal(signal.SIGINT, before)
+        return fail(PROGRAM, f"{where}{problem.strerror or problem}; earlier files are intact", 1)
     if not options.quiet:
         print(run.summary())
     if options.profile:
         print(run.profile())
-    if asked:
+    if asked():
         print(
             f"interrupted: saved; continue with --resume --output {options.output}", file=sys.stderr
         )
         return 130
     return 0
-
-
-def _once(asked: list[int], quiet: bool) -> Callable[[int, Any], None]:
-    """Note the first interruption and pass on the second."""
-
-    def handle(number: int, frame: Any) -> None:
-        if asked:
-            raise KeyboardInterrupt
-        asked.append(number)
-        if not quiet:
-            print(
-                "\ninterrupted: saving after this update (again to stop at once)", file=sys.stderr
-            )
-
-    return handle
 
 
 if __name__ == "__main__":

@@ -12,25 +12,20 @@ fresh episodes.
 from __future__ import annotations
 
 import logging
-import signal
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from baselines import cluster
+from train.command_line import fail, interruptions
 
 if TYPE_CHECKING:
     from train.rllib_options import Options
     from train.rllib_run import Saved
 
 PROGRAM = "train.rllib"
-
-
-def _fail(message: object, status: int) -> int:
-    print(f"{PROGRAM}: error: {message}", file=sys.stderr)
-    return status
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -44,25 +39,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
             from train.rllib_options import Options
             from train.rllib_run import prepare
     except cluster.Unreachable as problem:
-        return _fail(problem, 2)
+        return fail(PROGRAM, problem, 2)
     except ModuleNotFoundError as problem:
         if (problem.name or "").partition(".")[0] in ("train", "baselines", "formation_env"):
             raise
-        return _fail(f'{problem.name} is not installed: pip install "formation-env[ray]"', 2)
+        return fail(
+            PROGRAM, f'{problem.name} is not installed: pip install "formation-env[ray]"', 2
+        )
     try:
         options, saved = prepare(tyro.cli(Options, prog=f"python -m {PROGRAM}", args=arguments))
     except ValueError as problem:
-        return _fail(problem, 2)
+        return fail(PROGRAM, problem, 2)
     except OSError as problem:
-        return _fail(f"cannot write into {problem.filename}: {problem.strerror}", 2)
+        return fail(PROGRAM, f"cannot write into {problem.filename}: {problem.strerror}", 2)
     try:
         with cluster.joined(options.address, max(1, options.runners)) as ray, _quietly():
             return _train(ray, options, saved)
     except cluster.Unreachable as problem:
-        return _fail(problem, 2)
+        return fail(PROGRAM, problem, 2)
     except OSError as problem:
         where = f"{problem.filename}: " if problem.filename else ""
-        return _fail(f"{where}{problem.strerror or problem}; earlier files are intact", 1)
+        return fail(PROGRAM, f"{where}{problem.strerror or problem}; earlier files are intact", 1)
 
 
 @contextmanager
@@ -82,38 +79,24 @@ def _train(ray: Any, options: Options, saved: Saved | None) -> int:
         require_cores(ray, options)
         run = Run(options, saved)
     except ValueError as problem:
-        return _fail(problem, 2)
-    asked: list[int] = []
-    before = signal.signal(signal.SIGINT, _once(asked))
+        return fail(PROGRAM, problem, 2)
     try:
-        run.train(stop=lambda: bool(asked))
+        with interruptions() as asked:
+            run.train(stop=asked)
     except KeyboardInterrupt:
-        return _fail("interrupted twice: the last checkpoint is intact", 130)
+        return fail(PROGRAM, "interrupted twice: the last checkpoint is intact", 130)
     except ray.exceptions.RayError as problem:
-        return _fail(f"the cluster gave up ({problem}); the last checkpoint is intact", 1)
+        return fail(PROGRAM, f"the cluster gave up ({problem}); the last checkpoint is intact", 1)
     finally:
-        signal.signal(signal.SIGINT, before)
         run.close()
     if not options.quiet:
         print(run.summary())
-    if asked:
+    if asked():
         print(
             f"interrupted: saved; continue with --resume --output {options.output}", file=sys.stderr
         )
         return 130
     return 0
-
-
-def _once(asked: list[int]) -> Callable[[int, Any], None]:
-    """Note the first interruption and pass on the second."""
-
-    def handle(number: int, frame: Any) -> None:
-        if asked:
-            raise KeyboardInterrupt
-        asked.append(number)
-        print("\ninterrupted: saving after this update (again to stop at once)", file=sys.stderr)
-
-    return handle
 
 
 if __name__ == "__main__":

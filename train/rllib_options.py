@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import MISSING, asdict, dataclass, fields, replace
-from math import isfinite
 from pathlib import Path
 from typing import Any, Literal
 
-from formation_env import SCENARIOS, FormationConfig, configure
+from formation_env import FormationConfig, configure
+from train.command_line import check, flag, repeated
 from train.options import STD
 
 
@@ -77,18 +77,7 @@ class Options:
     """No progress bar, no lines but the errors."""
 
     def __post_init__(self) -> None:
-        if self.scenario not in SCENARIOS:
-            _refuse("scenario", self.scenario, f"one of {', '.join(SCENARIOS)}")
-        for name, (least, most) in _WHOLE.items():
-            value = getattr(self, name)
-            if not least <= value <= most:
-                _refuse(name, value, f"a whole number from {least} to {most}")
-        for name, (low, high) in _REAL.items():
-            value = getattr(self, name)
-            if value is not None and not (isfinite(value) and low <= value <= high):
-                _refuse(name, value, f"a number from {low:g} to {high:g}")
-        if not 0 < len(self.hidden) <= 8 or not all(1 <= n <= 4096 for n in self.hidden):
-            _refuse("hidden", self.hidden, "1 to 8 widths from 1 to 4096")
+        check(self, _WHOLE, _REAL)
         self.config()
 
     def config(self) -> FormationConfig:
@@ -131,10 +120,6 @@ FREE = ("steps", "minutes", "resume", "runners", "address", "quiet", "output")
 _ASIDE = ("output", "resume", "address", "quiet")
 
 
-def _refuse(name: str, value: object, expected: str) -> None:
-    raise ValueError(f"--{name.replace('_', '-')} {value}: expected {expected}")
-
-
 def _usual() -> dict[str, Any]:
     """The defaults by name."""
     return {f.name: None if f.default is MISSING else f.default for f in fields(Options)}
@@ -158,7 +143,7 @@ def continued(saved: dict[str, Any], given: Options) -> Options:
     for name, value in asdict(given).items():
         if name not in FREE and value not in (usual[name], saved[name]):
             raise ValueError(
-                f"--{name.replace('_', '-')} {value}: the run was started with {saved[name]}, and "
+                f"{flag(name)} {value}: the run was started with {saved[name]}, and "
                 "goes on with that"
             )
     kept = {name: value for name, value in saved.items() if name not in FREE}
@@ -168,10 +153,4 @@ def continued(saved: dict[str, Any], given: Options) -> Options:
 
 def command(options: Options) -> str:
     """The command that repeats a run."""
-    words, usual = ["python -m train.rllib"], _usual()
-    for name, value in asdict(options).items():
-        if name in _ASIDE or value == usual[name]:
-            continue
-        text = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
-        words.append(f"--{name.replace('_', '-')} {text}")
-    return " ".join(words)
+    return repeated("train.rllib", asdict(options), _usual(), _ASIDE)

@@ -19,7 +19,7 @@ import formation_env
 from baselines import files
 from baselines.files import Card, Network
 from train import checkpoint
-from train.evaluation import Judge, Row, to_csv
+from train.evaluation import Judge, Row, line, to_csv
 from train.rllib_module import FollowerModule, exported
 from train.rllib_options import Options, command, continued, to_json
 from train.rllib_rows import FollowerRows
@@ -221,17 +221,7 @@ class Run:
             return
         o = self.options
         score, columns = self._judge.judge(*self.made())
-        row = Row(
-            self.steps,
-            self.minutes,
-            score.value,
-            score.low,
-            score.high,
-            float(columns["return"].mean()),
-            float(columns["slot_error_rms"].mean()),
-            float(columns["failed"].mean()),
-            o.seed,
-        )
+        row = line(self.steps, self.minutes, score, columns, o.seed)
         best = all(row.score > other.score for other in self.rows)
         self.rows.append(row)
         self._next = (self.steps // o.evaluate_every + 1) * o.evaluate_every
@@ -275,10 +265,7 @@ class Run:
         group = self._algorithm.learner_group
         state = group.get_state(components=["learner/rl_module", "learner/optimizer"])["learner"]
         state["rl_module"][DEFAULT_MODULE_ID] = checkpoint.group(saved.arrays, "module")
-        moments: dict[int, dict[str, Any]] = {}
-        for key, array in checkpoint.group(saved.arrays, "optimiser").items():
-            index, name = key.split(".")
-            moments.setdefault(int(index), {})[name] = array
+        moments = checkpoint.moments(checkpoint.group(saved.arrays, "optimiser"))
         ((_, optimiser),) = state["optimizer"].items()
         optimiser["state"] = {**optimiser["state"], "state": moments}
         group.set_state({"learner": {k: state[k] for k in ("rl_module", "optimizer")}})
@@ -297,7 +284,7 @@ def prepare(options: Options) -> tuple[Options, Saved | None]:
     if not options.resume:
         if path.exists():
             raise ValueError(f"{path} exists: go on with --resume, or choose another folder")
-        _prepare_folder(options.output)
+        checkpoint.prepare_folder(options.output)
         return options, None
     facts, arrays = checkpoint.load(path)
     try:
@@ -306,15 +293,8 @@ def prepare(options: Options) -> tuple[Options, Saved | None]:
         times = (facts["steps"], facts["minutes"], facts["next_evaluation"])
     except (KeyError, TypeError, ValueError) as problem:
         raise ValueError(f"{path}: {problem}") from None
-    _prepare_folder(options.output)
+    checkpoint.prepare_folder(options.output)
     return options, Saved(*times, rows, arrays)
-
-
-def _prepare_folder(folder: Path) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    probe = folder / ".writable"
-    checkpoint.write(probe, b"")
-    probe.unlink()
 
 
 def require_cores(ray: Any, options: Options) -> None:

@@ -28,12 +28,12 @@ import numpy as np
 
 import formation_env
 from baselines import make_policy
-from baselines.evaluate import write_text
 from baselines.intervals import Estimate
 from baselines.policy import Policy
-from baselines.rollout import Episodes, chunks, fly
+from baselines.rollout import fly_all
 from baselines.scoring import Result, judge
 from baselines.tuned import FEEDFORWARDS, VERSION, ExpertTuned, Gains, own, read
+from baselines.writing import write_text
 from formation_env import FormationConfig, configure
 from formation_env.checks import integer, number, require
 from train.gain_space import GainSpace
@@ -109,17 +109,10 @@ class Options:
 # -- flying ---------------------------------------------------------------------------------------
 
 
-def flown(policy: Policy, seeds: range) -> Episodes:
-    """The episodes of a policy."""
-    groups = chunks(seeds.start, len(seeds), policy.config.followers)
-    parts = [fly(policy, group) for group in groups]
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-
-
 def _return(policy: Policy, seeds: range) -> float:
     """Mean return over the seeds."""
     try:
-        value = float(flown(policy, seeds)["return"].mean())
+        value = float(fly_all(policy, seeds)["return"].mean())
     except ValueError as problem:
         if "expected finite numbers" not in str(problem):
             raise
@@ -214,7 +207,7 @@ def validate(
     """The finalist with the largest mean return over the seeds, the first where equal."""
     policies = [ExpertTuned(config, gains) for gains in finalists]
     anchors = [make_policy(name, config) for name in ("hover", "expert")]
-    hover, expert, *columns = pool.map(lambda p: flown(p, seeds), [*anchors, *policies])
+    hover, expert, *columns = pool.map(lambda p: fly_all(p, seeds), [*anchors, *policies])
     best = max(range(len(columns)), key=lambda i: columns[i]["return"].mean())
     return Verdict(finalists[best], judge(columns[best], hover, expert))
 
@@ -291,7 +284,7 @@ def _run(
     seeds = range(TRAINING, TRAINING + options.episodes)
     share = max(1, options.evaluations // len(choices))
     # Before many threads do so at once: the first flight compiles, and the own gains must fly.
-    flown(make_policy("expert", config), range(TRAINING, TRAINING + 1))
+    fly_all(make_policy("expert", config), range(TRAINING, TRAINING + 1))
     with (
         ThreadPoolExecutor(options.threads, thread_name_prefix="tune") as pool,
         tqdm(total=share * len(choices), disable=options.quiet, unit=" candidates") as bar,
