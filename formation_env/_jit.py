@@ -41,7 +41,13 @@ def _source_stamp(folder: Path) -> str | None:
     return digest.hexdigest()
 
 
-def _called_by_kernels(function: F, **options: Any) -> F:
+def _apart(flags: Any) -> Any:
+    """Have the compiler take it that no array a function writes overlaps another one it uses."""
+    flags.noalias = True
+    return flags
+
+
+def _called_by_kernels(function: F, apart: bool = False, **options: Any) -> F:
     """Compile `function` for kernels and, apart from that, for calls from Python.
 
     Numba compiles two wrappers along with every function, for Python and for C, and takes as long for
@@ -53,6 +59,9 @@ def _called_by_kernels(function: F, **options: Any) -> F:
     called: Any = njit(**options)(function)
     if hasattr(called, "get_call_template"):
         linked: Any = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)(function)
+        for one in (called, linked) if apart else ():
+            # A flag of Numba's compiler that `njit` does not hand on.
+            one._compiler._customize_flags = _apart
         called.get_call_template = linked.get_call_template
         called.get_overload = linked.get_overload
     return called  # type: ignore[no-any-return]
@@ -71,9 +80,11 @@ def plain(function: F) -> F:
 def loop(function: F) -> F:
     """Compile `function` as a loop of its own, called by kernels and not inlined by us.
 
-    Small enough for the compiler to vectorise, and one piece of machine code for all its callers.
+    Small enough for the compiler to vectorise, and one piece of machine code for all its callers. What
+    it writes in an array must not be read through another one: else it would compare all addresses in
+    each call, and keep a scalar loop beside the vector one.
     """
-    return _called_by_kernels(function, nogil=True)
+    return _called_by_kernels(function, apart=True, nogil=True)
 
 
 def kernel(function: F) -> F:
