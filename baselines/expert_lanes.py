@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from baselines.policy import Rows
 from formation_env._jit import device, kernel, loop
-from formation_env.blocks import LANES, carve, gather
+from formation_env.blocks import LANES, carve, gather, reinterpret
 from formation_env.elementary import phase
 from formation_env.feedforward import full_reference
 from formation_env.lanes import at, load_reference, load_vector, put_vector
@@ -34,7 +34,7 @@ _LANES = np.uint64(LANES)
 # Rows of a tile: of virtual followers, of their trajectories, of actions, of what is read of rows.
 VIRTUAL, _TRAJECTORY, _ACTION, _READ = 9, 15, 4, CORE + GUIDE
 # Numbers of room for one tile of each but the first, the rows and a square of them in float32.
-ROOM = (_TRAJECTORY + _ACTION) * LANES + (_READ + LANES) * LANES // 2
+ROOM = (_TRAJECTORY + _ACTION + 1) * LANES + _READ * LANES // 2
 
 
 class Room(NamedTuple):
@@ -43,7 +43,7 @@ class Room(NamedTuple):
     refs: Floats  # (15 L,)
     actions: Floats  # (4 L,)
     rows: Rows  # (40 L,)
-    lines: Rows  # (L L,): a piece of each row
+    starts: NDArray[np.int64]  # (L,): where a piece of each row begins
 
 
 class Seen(NamedTuple):
@@ -229,12 +229,13 @@ def accelerate(rows: Any, x: Any, refs: Any, h: float, reach: Reach, actions: An
 def open_room(room: Floats) -> Room:
     """The parts of `ROOM` numbers."""
     a = _TRAJECTORY * LANES
-    singles = carve(room, a + _ACTION * LANES, ((_READ + LANES) * LANES // 2,)).view(np.float32)
+    b = a + _ACTION * LANES
+    c = b + LANES
     return Room(
         carve(room, 0, (a,)),
         carve(room, a, (_ACTION * LANES,)),
-        carve(singles, 0, (_READ * LANES,)),
-        carve(singles, _READ * LANES, (LANES * LANES,)),
+        reinterpret(carve(room, c, (_READ * LANES // 2,)), np.float32),
+        reinterpret(carve(room, b, (LANES,)), np.int64),
     )
 
 
@@ -242,18 +243,15 @@ def open_room(room: Floats) -> Room:
 def take(rows: Rows, t: int, entries: int, room: Room) -> None:
     """The first `entries` columns of the rows of tile `t`; past the end the last row again.
 
-    Whole squares by way of lines side by side, which are turned; what is left number by number.
+    Whole squares are turned; what is left goes number by number.
     """
     count, size = rows.shape
     flat, squares = carve(rows, 0, (count * size,)), entries // LANES
     left = np.uint64(squares * LANES)
     for k in range(squares):
         for lane in range(LANES):
-            row = min(t * LANES + lane, count - 1)
-            a, b = np.uint64(row * size + k * LANES), np.uint64(lane * LANES)
-            for j in range(_LANES):
-                room.lines[b + j] = flat[a + j]
-        gather(room.lines, carve(room.rows, k * LANES * LANES, (LANES * LANES,)))
+            room.starts[lane] = min(t * LANES + lane, count - 1) * size + k * LANES
+        gather(flat, room.starts, carve(room.rows, k * LANES * LANES, (LANES * LANES,)))
     for lane in range(_LANES):
         a = np.uint64(min(t * LANES + np.int64(lane), count - 1) * size)
         for j in range(left, np.uint64(entries)):

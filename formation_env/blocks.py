@@ -14,6 +14,7 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic, overload
 from numba.np import arrayobj
 
@@ -67,10 +68,12 @@ def _reinterpret(typing: Any, block: Any, kind: Any) -> Any:
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         source = arrayobj.make_array(block)(context, builder, arguments[0])
         sink = arrayobj.make_array(view)(context, builder)
-        number = context.get_data_type(view.dtype).as_pointer()
-        size = context.get_value_type(types.intp)(view.dtype.bitwidth // 8)
-        many = builder.mul(source.nitems, size.type(block.dtype.bitwidth // view.dtype.bitwidth))
-        data = builder.bitcast(source.data, number)
+        number = context.get_data_type(view.dtype)
+        width = context.get_abi_sizeof(number)
+        size = context.get_value_type(types.intp)(width)
+        wide = context.get_abi_sizeof(context.get_data_type(block.dtype))
+        many = builder.mul(source.nitems, size.type(wide // width))
+        data = builder.bitcast(source.data, number.as_pointer())
         arrayobj.populate_array(sink, data, [many], [size], size, None)
         return sink._getvalue()
 
@@ -152,6 +155,120 @@ def _turn_square_compiled(source: Any, at: Any, sink: Any, to: Any, stride: Any)
     return implementation
 
 
+@intrinsic  # type: ignore[untyped-decorator]
+def _turn_lines(typing: Any, source: Any, starts: Any, first: Any, row: Any, sink: Any) -> Any:
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        number = signature.args[0].dtype
+        size = number.bitwidth // 8
+        width = _BYTES // size
+        vector = ir.VectorType(context.get_data_type(number), width).as_pointer()
+        word = context.get_value_type(types.int64)
+        lines, begins, sunk = (
+            arrayobj.make_array(signature.args[k])(context, builder, arguments[k]).data
+            for k in (0, 1, 4)
+        )
+
+        def pointer(data: Any, offset: Any) -> Any:
+            return builder.bitcast(builder.gep(data, [offset]), vector)
+
+        rows = []
+        for k in range(width):
+            begin = builder.load(builder.gep(begins, [builder.add(arguments[2], word(k))]))
+            rows.append(builder.load(pointer(lines, builder.add(begin, arguments[3])), align=size))
+        to = builder.add(builder.mul(arguments[3], word(LANES)), arguments[2])
+        for k, line in enumerate(_shuffled(builder, rows, width)):
+            builder.store(line, pointer(sunk, builder.add(to, word(k * LANES))), align=size)
+        return context.get_dummy_value()
+
+    return types.void(source, starts, types.int64, types.int64, sink), build
+
+
+def turn_lines(source: Any, starts: Any, first: int, row: int, sink: Any) -> None:
+    """A square of rows `row`, ... and lanes `first`, ... of a tile, from lines of `source`.
+
+    The line of a lane begins at `starts[lane]`.
+    """
+    width = _BYTES // source.itemsize
+    for lane in range(first, first + width):
+        for k in range(row, row + width):
+            sink[k * LANES + lane] = source[starts[lane] + k]
+
+
+@overload(turn_lines)  # type: ignore[untyped-decorator]
+def _turn_lines_compiled(source: Any, starts: Any, first: Any, row: Any, sink: Any) -> Any:
+    def implementation(source: Any, starts: Any, first: Any, row: Any, sink: Any) -> Any:
+        return _turn_lines(source, starts, first, row, sink)
+
+    return implementation
+
+
+_FOUR = 4
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def _turn_fours(typing: Any, source: Any, at: Any, stride: Any, sink: Any) -> Any:
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        number = ir.FloatType()
+        word = context.get_value_type(types.int64)
+        given, sunk = (
+            arrayobj.make_array(signature.args[k])(context, builder, arguments[k]).data
+            for k in (0, 3)
+        )
+
+        def pointer(data: Any, offset: Any, width: int) -> Any:
+            vector = ir.VectorType(number, width).as_pointer()
+            return builder.bitcast(builder.gep(data, [offset]), vector)
+
+        def shuffled(a: Any, b: Any, picks: list[int]) -> Any:
+            kind = ir.VectorType(ir.IntType(32), len(picks))
+            return builder.shuffle_vector(a, b, ir.Constant(kind, picks))
+
+        parts = []
+        for lane in range(LANES):
+            offset = builder.add(arguments[1], builder.mul(arguments[2], word(lane)))
+            parts.append(builder.load(pointer(given, offset, _FOUR), align=4))
+        # Vector j of four: lanes j, j + 4, ... one behind the other.
+        mixed = parts
+        while len(mixed) > _FOUR:
+            half = len(mixed) // 2
+            mixed = [
+                shuffled(a, b, list(range(2 * a.type.count)))
+                for a, b in zip(mixed[:half], mixed[half:], strict=True)
+            ]
+        # Lanes in the order 0, 4 | 8, 12 became 0, 8, 4, 12: put right on the way out.
+        quarters = [0, 2, 1, 3]
+        for k in range(_FOUR):
+            pairs = [
+                shuffled(
+                    mixed[j],
+                    mixed[j + 1],
+                    [b * LANES + quarters[q] * _FOUR + k for q in range(_FOUR) for b in (0, 1)],
+                )
+                for j in (0, 2)
+            ]
+            picks = [8 * b + 2 * q + i for q in range(_FOUR) for b in (0, 1) for i in (0, 1)]
+            row = shuffled(pairs[0], pairs[1], picks)
+            builder.store(row, pointer(sunk, word(k * LANES), LANES), align=4)
+        return context.get_dummy_value()
+
+    return types.void(source, types.int64, types.int64, sink), build
+
+
+def turn_fours(source: Any, at: int, stride: int, sink: Any) -> None:
+    """`sink[k LANES + lane] = source[at + lane stride + k]` for four `k` and all lanes, float32."""
+    for lane in range(LANES):
+        for k in range(_FOUR):
+            sink[k * LANES + lane] = source[at + lane * stride + k]
+
+
+@overload(turn_fours)  # type: ignore[untyped-decorator]
+def _turn_fours_compiled(source: Any, at: Any, stride: Any, sink: Any) -> Any:
+    def implementation(source: Any, at: Any, stride: Any, sink: Any) -> Any:
+        return _turn_fours(source, at, stride, sink)
+
+    return implementation
+
+
 @device
 def scatter(tile: Any, rows: int, sink: Any, to: int, stride: int, lanes: int) -> None:
     """The first `rows` rows of a tile, lane by lane, to `sink[to]`, `sink[to + stride]`, ...
@@ -171,9 +288,144 @@ def scatter(tile: Any, rows: int, sink: Any, to: int, stride: int, lanes: int) -
 
 
 @device
-def gather(lines: Any, tile: Any) -> None:
-    """`LANES` lines of `LANES` numbers, one of each world, to the rows of a tile."""
+def gather(lines: Any, starts: Any, tile: Any) -> None:
+    """`LANES` lines of `LANES` numbers, that of each world from its start on, to the rows of a tile."""
     width = _BYTES // lines.itemsize
     for row in range(0, LANES, width):
         for lane in range(0, LANES, width):
-            turn_square(lines, lane * LANES + row, tile, row * LANES + lane, LANES)
+            turn_lines(lines, starts, lane, row, tile)
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def _fetch_line(typing: Any, block: Any, at: Any) -> Any:
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = arrayobj.make_array(block)(context, builder, arguments[0]).data
+        pointer = builder.gep(data, [arguments[1]])
+        number = ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [pointer.type, number, number, number])
+        prefetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+        for_writing, near, data_cache = number(1), number(3), number(1)
+        builder.call(prefetch, [pointer, for_writing, near, data_cache])
+        return context.get_dummy_value()
+
+    return types.void(block, types.int64), build
+
+
+def fetch_line(block: Any, at: int) -> None:
+    """Have the cache fetch the line in which number `at` of an array lies; it need not exist."""
+
+
+@overload(fetch_line)  # type: ignore[untyped-decorator]
+def _fetch_line_compiled(block: Any, at: Any) -> Any:
+    def implementation(block: Any, at: Any) -> Any:
+        return _fetch_line(block, at)
+
+    return implementation
+
+
+@device
+def fetch(block: Any, first: int, count: int) -> None:
+    """Have the cache fetch `count` numbers from `first` on, soon to be read or written."""
+    for at in range(first, first + count, _BYTES // block.itemsize):
+        fetch_line(block, at)
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def _stream_line(typing: Any, source: Any, at: Any, sink: Any, to: Any) -> Any:
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        number = context.get_data_type(signature.args[0].dtype)
+        width = _BYTES // context.get_abi_sizeof(number)
+        vector = ir.VectorType(number, width).as_pointer()
+        given, sunk = (
+            builder.bitcast(
+                builder.gep(
+                    arrayobj.make_array(signature.args[k])(context, builder, arguments[k]).data,
+                    [arguments[k + 1]],
+                ),
+                vector,
+            )
+            for k in (0, 2)
+        )
+        line = builder.load(given, align=context.get_abi_sizeof(number))
+        store = builder.store(line, sunk, align=_BYTES)
+        store.set_metadata("nontemporal", builder.module.add_metadata([ir.IntType(32)(1)]))
+        return context.get_dummy_value()
+
+    return types.void(source, types.int64, sink, types.int64), build
+
+
+def stream_line(source: Any, at: int, sink: Any, to: int) -> None:
+    """A cache line of numbers from `at` on, past the cache to the line that begins at `sink[to]`."""
+    width = _BYTES // source.itemsize
+    sink[to : to + width] = source[at : at + width]
+
+
+@overload(stream_line)  # type: ignore[untyped-decorator]
+def _stream_line_compiled(source: Any, at: Any, sink: Any, to: Any) -> Any:
+    def implementation(source: Any, at: Any, sink: Any, to: Any) -> Any:
+        return _stream_line(source, at, sink, to)
+
+    return implementation
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def _offset(typing: Any, block: Any) -> Any:
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = arrayobj.make_array(block)(context, builder, arguments[0]).data
+        address = builder.ptrtoint(data, context.get_value_type(types.int64))
+        size = context.get_abi_sizeof(context.get_data_type(block.dtype))
+        inside = builder.and_(address, address.type(_BYTES - 1))
+        return builder.udiv(inside, address.type(size))
+
+    return types.int64(block), build
+
+
+def offset(block: Any) -> int:
+    """How many numbers after the begin of a cache line an array begins."""
+    return int(block.ctypes.data) % _BYTES // int(block.itemsize)
+
+
+@overload(offset)  # type: ignore[untyped-decorator]
+def _offset_compiled(block: Any) -> Any:
+    def implementation(block: Any) -> Any:
+        return _offset(block)
+
+    return implementation
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def _drain(typing: Any) -> Any:
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        builder.fence("seq_cst")
+        return context.get_dummy_value()
+
+    return types.void(), build
+
+
+def drain() -> None:
+    """Have what was streamed arrive before whatever is written from now on."""
+
+
+@overload(drain)  # type: ignore[untyped-decorator]
+def _drain_compiled() -> Any:
+    def implementation() -> Any:
+        return _drain()
+
+    return implementation
+
+
+@device
+def stream(source: Any, sink: Any, to: int, count: int) -> None:
+    """The first `count` numbers to `sink[to]`, ... past the cache.
+
+    For what is larger than the cache anyway: a store would first fetch each line from memory.
+    """
+    width = _BYTES // source.itemsize
+    ahead = min(count, (width - (offset(sink) + to) % width) % width)
+    for k in range(ahead):
+        sink[to + k] = source[k]
+    whole = ahead + (count - ahead) // width * width
+    for k in range(ahead, whole, width):
+        stream_line(source, k, sink, to + k)
+    for k in range(whole, count):
+        sink[to + k] = source[k]

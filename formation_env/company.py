@@ -19,6 +19,7 @@ from formation_env.lanes import (
     forget,
     insert,
     measure,
+    meet,
     see_neighbour,
 )
 from formation_env.memory import (
@@ -54,11 +55,11 @@ def _world(vehicles: Any, lane: int, room: Scratch) -> Any:
 
 
 @device
-def separate_crowd(vehicles: Any, t: int, worlds: int, room: Scratch) -> None:
-    """Squared distances to the nearest other vehicle in all worlds of tile `t`, many vehicles each."""
-    crowd, tile = room.crowd, vehicles[t]
+def separate_crowd(tile: Any, here: int, room: Scratch) -> None:
+    """Squared distances to the nearest other vehicle in `here` worlds of a tile, many vehicles each."""
+    crowd = room.crowd
     m = _part(tile, 0, room)
-    for lane in range(min(LANES, worlds - t * LANES)):
+    for lane in range(here):
         axis = line_up(crowd, _world(tile, lane, room), m)
         for first in range(0, m, BLOCK):
             find_nearest(crowd, axis, m, first, 0)
@@ -69,12 +70,12 @@ def separate_crowd(vehicles: Any, t: int, worlds: int, room: Scratch) -> None:
 
 
 @device
-def know_crowd(t: int, worlds: int, room: Scratch) -> None:
-    """Numbers of the neighbours of all followers as measured, in all worlds of tile `t`."""
-    crowd, tile = room.crowd, room.seen[min(t, len(room.seen) - 1)]
-    m, K = _part(tile, 1, room), room.neighbours.shape[1] // LANES
-    for lane in range(min(LANES, worlds - t * LANES)):
-        axis = line_up(crowd, _world(tile, lane, room), m)
+def know_crowd(seen: Any, here: int, room: Scratch) -> None:
+    """Numbers of the neighbours of all followers as measured, in `here` worlds of a tile."""
+    crowd = room.crowd
+    m, K = _part(seen, 1, room), room.neighbours.shape[1] // LANES
+    for lane in range(here):
+        axis = line_up(crowd, _world(seen, lane, room), m)
         for first in range(0, m, BLOCK):
             find_nearest(crowd, axis, m, first, K)
             for k in range(min(BLOCK, m - first)):
@@ -85,17 +86,22 @@ def know_crowd(t: int, worlds: int, room: Scratch) -> None:
 
 
 @device
-def know_few(t: int, i: int, room: Scratch) -> None:
-    """Numbers of the neighbours of follower `i` as measured, in all worlds of tile `t`, few of them."""
-    seen, n = room.seen[min(t, len(room.seen) - 1)], len(room.actions)
+def know_few(seen: Any, i: int, room: Scratch) -> None:
+    """Numbers of the neighbours of follower `i` as measured, in all worlds of a tile, few of them."""
+    n = len(room.actions)
     K = room.neighbours.shape[1] // LANES
     here, candidate = min(n - 1, K), room.nearest[K]
     for m in range(here):
         forget(room.nearest[m])
     for j in range(n):
         if j != i:
-            measure(seen[i + 1], seen[j + 1], float(j), candidate)
-            for m in range(here):
+            own, other = seen[i + 1], seen[j + 1]
+            if here > 1:
+                meet(own, other, float(j), room.nearest[0], room.nearest[1], candidate)
+            else:
+                measure(own, other, float(j), candidate)
+                insert(candidate, room.nearest[0])
+            for m in range(2, here):
                 insert(candidate, room.nearest[m])
     for m in range(here):
         copy(room.nearest[m], 1, room.neighbours[i], m, 1)
@@ -125,12 +131,12 @@ def _fetch_from_crowd(tile: Any, known: Any, i: int, room: Scratch) -> None:
 
 
 @device
-def see_neighbours(x: Any, t: int, i: int, k: int, room: Scratch) -> None:
+def see_neighbours(x: Any, seen: Any, i: int, k: int, room: Scratch) -> None:
     """What follower `i` sees of its nearest neighbours, from row `k` of the observation on.
 
     Rows beyond the number of others stay as zero as they were made.
     """
-    seen, n = room.seen[min(t, len(room.seen) - 1)], len(room.actions)
+    n = len(room.actions)
     for m in range(min(n - 1, room.neighbours.shape[1] // LANES)):
         if n == 2:
             see_neighbour(x, seen[i + 1], seen[2 - i], room.neighbours[i], k, room.rows)

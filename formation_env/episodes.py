@@ -17,7 +17,6 @@ from formation_env.memory import (
     HEADING,
     OVER,
     PREVIOUS,
-    SAMPLES,
     STARTED,
     TERMS,
     TICK,
@@ -28,8 +27,8 @@ from formation_env.memory import (
     begin_of,
     episode_key,
     follower,
-    latest,
     load,
+    load_sample,
     put,
     put_sample,
     ring,
@@ -57,6 +56,7 @@ from formation_env.world import (
 class Task(NamedTuple):
     """Whole numbers that say what is asked for."""
 
+    worlds: int
     trajectory_kind: int
     neighbours: int
     action_size: int
@@ -111,32 +111,40 @@ def _start_of(state: State, w: int, R: complex, d: Vector, s: World) -> Any:
 
 
 @device
+def leader_start(kind: int, table: Any, s: World) -> tuple[Measured, complex]:
+    """How the leader begins where it begins in flight, and the heading of its reference then."""
+    begin = evaluate(kind, table, 0.0)
+    body = trimmed(begin, s)
+    return Measured(body.p, body.v, begin.a, body.q, body.w), start_direction(kind, table)
+
+
+@device
 def start_episode(
     state: State, c: Constants, w: int, room: Scratch, task: Task, s: Settings
 ) -> None:
     """Start the next episode of world `w`."""
-    counters = state.counters[w]
-    counters[EPISODE] += 1
-    counters[TICK] = counters[SAMPLES] = counters[CLOCK] = counters[OVER] = 0
-    counters[STARTED] = 0 if s.world.on_ground else 1
-    key = episode_key(state.keys[w], counters[EPISODE])
+    counters = state.counters
+    counters[EPISODE, w] += 1
+    counters[TICK, w] = counters[CLOCK, w] = counters[OVER, w] = 0
+    counters[STARTED, w] = 0 if s.world.on_ground else 1
+    key = episode_key(state.keys[w], counters[EPISODE, w])
     state.episode_keys[w] = key
     table = table_row(state.tables, w)
     if len(c.drawing) > 0:
         draw(key, c.drawing, table)
-    begin = evaluate(task.trajectory_kind, table, 0.0)
-    R = start_direction(task.trajectory_kind, table)
+    if len(c.start) > 0:
+        leader, R = load_sample(c.start), complex(c.start[16], c.start[17])
+    else:
+        leader, R = leader_start(task.trajectory_kind, table, s.world)
     for k in range(3):
-        state.begins[w // LANES, k * LANES + w % LANES] = begin.p[k]
+        state.begins[w // LANES, k * LANES + w % LANES] = leader.p[k]
 
     still = (0.0, 0.0, 0.0)
     if s.world.on_ground:
         _place(state, w, 0, resting(load(c.starts[0], 0)), still, key, s.world)
     else:
-        _place(state, w, 0, trimmed(begin, s.world), begin.a, key, s.world)
-    seen = latest(state, w, 0).v
-    state.seen[w // LANES, w % LANES] = seen[0]
-    state.seen[w // LANES, LANES + w % LANES] = seen[1]
+        body = Body(leader.p, leader.v, leader.q, leader.w)
+        _place(state, w, 0, body, leader.a, key, s.world)
     for i in range(len(c.offsets)):
         x = follower(state, w, i)
         x[HEADING], x[HEADING + 1] = R.real, R.imag
@@ -155,5 +163,5 @@ def start_episode(
         for k in range(TERMS + 4):
             room.outcomes[i, k * LANES + w % LANES] = 0.0
         room.outcomes[i, FAILED * LANES + w % LANES] = 0.0
-    if w + 1 == len(state.counters):
+    if w + 1 == task.worlds:
         _fill_lanes(state, w)

@@ -24,6 +24,7 @@ FLOAT = np.dtype(np.float32)
 _INTEGER = np.dtype(np.int64)
 _SLOTS, _ERRORS = (..., slice(SLOT, SLOT + 3)), (..., slice(ERROR, ERROR + 3))
 _SEPARATION, _FAILED = (..., SEPARATION), (..., FAILED)
+_MANY = 256  # worlds
 _FORMATION, _EFFORT, _SMOOTHNESS, _FAILURE = ((..., TERMS + k) for k in range(4))
 
 
@@ -56,8 +57,12 @@ def read_action(action: Any, shape: tuple[int, ...], name: str = "action") -> ND
     return array.astype(np.float32, order="C")
 
 
-def describe(outputs: NDArray[np.float64]) -> dict[str, Any]:
+def describe(
+    outputs: NDArray[np.float64], terminated: NDArray[np.bool_] | None = None
+) -> dict[str, Any]:
     """The `info` of a step, from result rows `(..., followers, columns)`.
+
+    `terminated` says in which worlds a follower may have failed, if that is known.
 
     `slots` (m, inertial), `slot_error` (slot minus true position, m, inertial), `separation`
     (distance to the nearest other vehicle, m), `failure` (an index into `task.FAILURES`) and
@@ -67,7 +72,7 @@ def describe(outputs: NDArray[np.float64]) -> dict[str, Any]:
         "slots": outputs[_SLOTS],
         "slot_error": outputs[_ERRORS],
         "separation": outputs[_SEPARATION],
-        "failure": outputs[_FAILED].astype(_INTEGER),
+        "failure": _failures(outputs, terminated),
         "reward_terms": {
             "formation": outputs[_FORMATION],
             "effort": outputs[_EFFORT],
@@ -75,6 +80,18 @@ def describe(outputs: NDArray[np.float64]) -> dict[str, Any]:
             "failure": outputs[_FAILURE],
         },
     }
+
+
+def _failures(
+    outputs: NDArray[np.float64], terminated: NDArray[np.bool_] | None
+) -> NDArray[np.int64]:
+    """Kinds of failure. Of many worlds few have ended: to look at all would fetch all outputs."""
+    if terminated is None or len(terminated) < _MANY:
+        return outputs[_FAILED].astype(_INTEGER)
+    failures = np.zeros(outputs.shape[:-1], _INTEGER)
+    ended = np.flatnonzero(terminated)
+    failures[ended] = outputs[ended, :, FAILED]
+    return failures
 
 
 @final

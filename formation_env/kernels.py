@@ -11,26 +11,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formation_env._jit import announced, device, kernel
-from formation_env.blocks import LANES, carve, gather, scatter
+from formation_env.blocks import LANES, carve, drain, fetch, gather, scatter, stream, turn_fours
 from formation_env.company import CROWD, know_crowd, know_few, see_neighbours, separate_crowd
-from formation_env.episodes import Task, start_episode
+from formation_env.episodes import Task, leader_start, start_episode
 from formation_env.lanes import (
     approach,
     clear,
     clear_touch,
+    clip,
+    conclude,
     copy,
+    copy_on,
     count_finite,
     doubtful,
     drive_by_moment,
     drive_by_rates,
+    find_rows,
     fly_by_moment,
     fly_by_rates,
     fly_low_by_moment,
     fly_low_by_rates,
+    guide_by_moment,
+    guide_by_rates,
     judge,
     lead_by_moment,
     lead_by_rates,
     locate,
+    move_on,
+    note_started,
+    number_samples,
     repeat,
     restore,
     see,
@@ -38,21 +47,20 @@ from formation_env.lanes import (
     sense,
     sense_exactly,
     separate,
+    sort_out,
     take,
     turn_headings,
+    turn_headings_exactly,
 )
 from formation_env.memory import (
+    BATCH,
     CLOCK,
     ERROR_SQUARED,
-    ESTIMATE,
-    GUIDE_P,
-    GUIDE_V,
     GUST,
     MEASURED_ROWS,
     OUTPUTS,
     OVER,
     REFERENCE_ROW,
-    SAMPLES,
     STARTED,
     TICK,
     Constants,
@@ -61,20 +69,19 @@ from formation_env.memory import (
     Settings,
     State,
     begin_of,
-    follower,
-    latest,
+    counter,
     load,
-    load_guide,
     open_constants,
     open_scratch,
     open_state,
     put,
+    put_sample,
     size_numbers,
     table_row,
     unpack,
     vehicle,
 )
-from formation_env.quadrotor import MOMENT, Wrench
+from formation_env.quadrotor import MOMENT
 from formation_env.sampling import receive, sense_when_due
 from formation_env.task import CORE, GUIDE
 from formation_env.team import (
@@ -92,32 +99,21 @@ from formation_env.world import (
     RATE,
     REFERENCE,
     WRENCH,
-    Action,
     World,
-    command_guided,
     every_tick,
-    guide_on,
-    guided,
     gust,
     hold_at,
     within,
 )
 
+# Results of more bytes than this are written past the cache, which they and the state exceed by far.
+_STREAMED = 6_000_000
+
+# With more tiles than this the next one is fetched into the cache while this one flies.
+_FETCHED = 64
+
 # Modes of `advance`: what to do with each world.
 STEP, STEP_OR_RESET, STEP_AND_RESET, RESET = 0, 1, 2, 3
-
-
-@device
-def _guide(state: State, w: int, i: int, a: Action, s: World) -> Wrench:
-    """Level REFERENCE: move follower `i`'s virtual follower on, and fly along it."""
-    x = follower(state, w, i)
-    guide = load_guide(x)
-    R = complex(x[ESTIMATE], x[ESTIMATE + 1])
-    ref = guided(a, guide, R, s)
-    moved = guide_on(guide, ref.a, s.clock.period)
-    put(x, GUIDE_P, moved.p)
-    put(x, GUIDE_V, moved.v)
-    return command_guided(latest(state, w, i + 1), ref, s)
 
 
 @device
@@ -133,85 +129,104 @@ def put_reference(x: Any, ref: Reference) -> None:
 def _refer(state: State, w: int, line: Any, kind: int, s: World) -> None:
     """The leader's reference now, where it is not in the table: waiting, or on a path of its own."""
     ref = hold_at(begin_of(state, w))
-    if state.counters[w, STARTED] != 0:
-        clock = state.counters[w, CLOCK] * s.clock.period
+    if state.counters[STARTED, w] != 0:
+        clock = state.counters[CLOCK, w] * s.clock.period
         ref = evaluate(kind, table_row(state.tables, w), clock)
     put_reference(line, ref)
 
 
 @device
 def _prepare(
-    state: State, t: int, actions: Any, mask: Any, mode: int, room: Scratch, s: World
-) -> tuple[int, bool]:
-    """Find out which worlds of tile `t` step, and fetch their actions and gusts.
+    state: State, t: int, here: int, actions: Any, mask: Any, mode: int, room: Scratch, s: World
+) -> tuple[int, int, int]:
+    """Find out which of the `here` worlds of tile `t` step, and fetch their actions and gusts.
 
-    Returns how many step and whether any is to be reset first.
+    Returns how many step, how many are to be reset first and how many lanes wait for their start.
     """
-    counters = state.counters
-    flying, waiting = 0, False
-    for lane in range(LANES):
-        room.active[lane] = room.moving[lane] = 0.0
-        w = t * LANES + lane
-        if w >= len(counters) or not mask[w]:
-            continue
-        if mode == RESET or (mode == STEP_OR_RESET and counters[w, OVER] != 0):
-            waiting = True
-            continue
-        flying += 1
-        room.active[lane] = 1.0
-        room.moving[lane] = np.float64(counters[w, STARTED])
-        if s.gusts.kick != 0.0:
-            for i in range(state.vehicles.shape[1]):
-                x = vehicle(state, w, i)
-                key = state.episode_keys[w]
-                put(x, GUST, gust(load(x, GUST), s.gusts, key, i, counters[w, TICK]))
+    named = room.named
+    if here == LANES:
+        named = carve(mask, t * LANES, (LANES,))
+    else:
+        for lane in range(LANES):
+            named[lane] = lane < here and mask[t * LANES + lane]
+    anew = 2 if mode == RESET else (1 if mode == STEP_OR_RESET else 0)
+    over, started = counter(state, OVER, t), counter(state, STARTED, t)
+    flying, waiting, standing = sort_out(named, over, started, anew, room.active, room.moving)
     if flying > 0:
-        _take(actions, t, room)
-    return flying, waiting
+        if s.gusts.kick != 0.0:
+            _blow(state, t, room, s)
+        _take(actions, t, here, room)
+    return flying, waiting, standing
 
 
 @device
-def _take(actions: Any, t: int, room: Scratch) -> None:
+def _blow(state: State, t: int, room: Scratch, s: World) -> None:
+    """The next gust on all vehicles in the flying worlds of tile `t`."""
+    for lane in range(LANES):
+        if room.active[lane] != 0.0:
+            w = t * LANES + lane
+            key, tick = state.episode_keys[w], state.counters[TICK, w]
+            for i in range(state.vehicles.shape[1]):
+                x = vehicle(state, w, i)
+                put(x, GUST, gust(load(x, GUST), s.gusts, key, i, tick))
+
+
+@device
+def _take(actions: Any, t: int, here: int, room: Scratch) -> None:
     """The actions of tile `t`, clipped; those of lanes without a world stay what they were."""
-    worlds, n, size = actions.shape
+    _, n, size = actions.shape
     flat, stride, executed = carve(actions, 0, (actions.size,)), n * size, room.actions
-    here = min(LANES, worlds - t * LANES)
     for i in range(n):
+        first = t * LANES * stride + i * size
+        if here == LANES and size == 4:
+            turn_fours(flat, first, stride, room.drawn)
+            clip(room.drawn, executed[i])
+            continue
         for k in range(size):
-            first = t * LANES * stride + i * size + k
             if here == LANES:
-                take(flat, first, stride, executed[i], k)
+                take(flat, first + k, stride, executed[i], k)
             else:
                 for lane in range(here):
-                    a = np.float64(flat[first + lane * stride])
+                    a = np.float64(flat[first + k + lane * stride])
                     executed[i, k * LANES + lane] = min(max(a, -1.0), 1.0)
 
 
 @device
-def _lead(state: State, c: Constants, t: int, room: Scratch, kind: int, s: World) -> None:
-    """The leader's references, and its velocity before the tick, in all worlds of tile `t`."""
-    counters, table, lines = state.counters, c.references, room.lines
-    here = min(LANES, len(counters) - t * LANES)
-    for lane in range(here):
-        w = t * LANES + lane
-        line = carve(lines, lane * REFERENCE_ROW, (REFERENCE_ROW,))
-        if counters[w, STARTED] != 0 and len(table) > 0:
-            row = carve(table, counters[w, CLOCK] * REFERENCE_ROW, (REFERENCE_ROW,))
+def _lead(
+    state: State,
+    c: Constants,
+    t: int,
+    here: int,
+    standing: int,
+    seen: Any,
+    room: Scratch,
+    kind: int,
+    s: World,
+) -> None:
+    """The leader's references, and its velocity before the tick, in the `here` worlds of tile `t`."""
+    table, lines, starts = carve(c.references, 0, (c.references.size,)), room.lines, room.rows_of
+    copy(state.vehicles[t, 0], 3, room.before, 0, 2)
+    copy(seen[0], 3, room.seen_before, 0, 2)
+    if len(table) > 0 and standing == 0:
+        find_rows(counter(state, CLOCK, t), REFERENCE_ROW, starts)
+        gather(table, starts, room.refs)
+        return
+    for lane in range(LANES):
+        w = t * LANES + min(lane, here - 1)  # that nothing divides by zero where there is no world
+        starts[lane] = lane * REFERENCE_ROW
+        line = carve(lines, starts[lane], (REFERENCE_ROW,))
+        if state.counters[STARTED, w] != 0 and len(table) > 0:
+            row = carve(table, state.counters[CLOCK, w] * REFERENCE_ROW, (REFERENCE_ROW,))
             for k in range(REFERENCE_ROW):
                 line[k] = row[k]
         else:
             _refer(state, w, line, kind, s)
-    for lane in range(here, LANES):  # that nothing divides by zero there
-        for k in range(REFERENCE_ROW):
-            lines[lane * REFERENCE_ROW + k] = lines[(here - 1) * REFERENCE_ROW + k]
-    gather(lines, room.refs)
-    copy(state.vehicles[t, 0], 3, room.before, 0, 2)
-    copy(room.seen[min(t, len(room.seen) - 1), 0], 3, state.seen[t], 0, 2)
+    gather(lines, starts, room.refs)
 
 
 @device
 def _save(state: State, t: int, room: Scratch) -> None:
-    """Keep what flying changes: lanes whose worlds do not step are computed too, then put back."""
+    """Keep what flying changes: lanes whose worlds stand still are computed too, then put back."""
     rows = state.vehicles.shape[2] // LANES
     for i in range(state.vehicles.shape[1]):
         copy(state.vehicles[t, i], 0, room.saved, rows * i, rows)
@@ -232,13 +247,12 @@ def _put_back(state: State, t: int, room: Scratch) -> None:
 
 
 @device
-def _command(state: State, t: int, room: Scratch, s: World) -> None:
+def _command(state: State, t: int, seen: Any, room: Scratch, s: World) -> None:
     """The commands of all vehicles of tile `t`."""
-    seen = room.seen[min(t, len(room.seen) - 1), 0]
     if s.leader_actuation == MOMENT:
-        lead_by_moment(seen, room.refs, room.commands[0], s)
+        lead_by_moment(seen[0], room.refs, room.commands[0], s)
     else:
-        lead_by_rates(seen, room.refs, room.commands[0], s)
+        lead_by_rates(seen[0], room.refs, room.commands[0], s)
     for i in range(len(room.actions)):
         action, command = room.actions[i], room.commands[i + 1]
         if s.level == WRENCH:
@@ -246,30 +260,55 @@ def _command(state: State, t: int, room: Scratch, s: World) -> None:
         elif s.level == RATE:
             drive_by_rates(action, command, s)
         else:
-            for lane in range(LANES):
-                if room.active[lane] != 0.0:
-                    # Before the trigger (40) virtual followers wait.
-                    m = room.moving[lane]
-                    a = (
-                        m * action[lane],
-                        m * action[LANES + lane],
-                        m * action[2 * LANES + lane],
-                        0.0,
-                    )
-                    applied = _guide(state, t * LANES + lane, i, a, s)
-                    command[lane] = applied.thrust
-                    for k in range(3):
-                        command[(k + 1) * LANES + lane] = applied.turn[k]
+            x, own = state.followers[t, i], seen[i + 1]
+            if s.follower_actuation == MOMENT:
+                guide_by_moment(x, own, action, room.moving, room.active, command, s)
+            else:
+                guide_by_rates(x, own, action, room.moving, room.active, command, s)
+
+
+class Call(NamedTuple):
+    """What one call is about, arrays as flat rows but for the first two and `ends`."""
+
+    mode: int
+    actions: NDArray[np.float32]
+    mask: NDArray[np.bool_]
+    seen: NDArray[np.float32]
+    told: Floats
+    ends: Floats
+    last_seen: NDArray[np.float32]
+    last_told: Floats
+    entries: int
+    vast: bool  # whether the results exceed the cache
 
 
 @device
-def _fly(state: State, t: int, room: Scratch, s: World) -> None:
+def _look_ahead(state: State, t: int, i: int, call: Call) -> None:
+    """Have the cache fetch what vehicle `i` needs next while it is busy with flying.
+
+    That is where its results go in this tile, and its state in the next one.
+    """
+    n, width = state.followers.shape[1], len(OUTPUTS)
+    if i < n and not call.vast:
+        row = (t * n + i) * LANES
+        fetch(call.seen, row * call.entries, LANES * call.entries)
+        fetch(call.told, row * width, LANES * width)
+    if t + 1 < len(state.vehicles):
+        fetch(state.vehicles[t + 1, i], 0, state.vehicles.shape[2])
+        if state.samples.shape[2] == 1:
+            fetch(state.samples[t + 1, i, 0], 0, state.samples.shape[3])
+        if i < n:
+            fetch(state.followers[t + 1, i], 0, state.followers.shape[2])
+
+
+@device
+def _fly(state: State, t: int, call: Call, room: Scratch, s: World) -> None:
     """Fly all vehicles of tile `t` for one tick, sampling on the way."""
     h = s.clock.period / s.clock.substeps
     exact, plain = state.samples.shape[2] == 0, every_tick(s.clock)
+    ahead = len(room.commands) <= CROWD and len(state.vehicles) > _FETCHED
     if plain and not exact:
-        for lane in range(min(LANES, len(state.counters) - t * LANES)):
-            room.counts[lane] = state.counters[t * LANES + lane, TICK] + 1
+        number_samples(counter(state, TICK, t), room.counts)
     # In step with the ticks a measurement is due at their end; else the worlds differ.
     aligned = s.clock.sample_every % s.clock.substeps == 0
     for i in range(state.vehicles.shape[1]):
@@ -279,6 +318,8 @@ def _fly(state: State, t: int, room: Scratch, s: World) -> None:
         actuation = s.leader_actuation if i == 0 else s.follower_actuation
         command, touch = room.commands[i], room.touches[i]
         clear_touch(touch)
+        if ahead:
+            _look_ahead(state, t, i, call)
         low = doubtful(x, command, push, room.active, s.clock.period, h, s.airframe.mass) > 0
         for k in range(s.clock.substeps):
             if actuation == MOMENT and low:
@@ -292,7 +333,8 @@ def _fly(state: State, t: int, room: Scratch, s: World) -> None:
             if not plain and (not aligned or k + 1 == s.clock.substeps):
                 sense_when_due(state, t, i, room, k, s)
         if exact:
-            sense_exactly(x, command, push, touch, s.airframe)
+            if i == 0:  # nobody is told how a follower accelerates
+                sense_exactly(x, command, push, touch, s.airframe)
         elif plain:
             sample = state.samples[t, i, 0]
             keys = carve(state.episode_keys, t * LANES, (LANES,))
@@ -301,44 +343,49 @@ def _fly(state: State, t: int, room: Scratch, s: World) -> None:
 
 
 @device
-def _count(state: State, c: Constants, t: int, room: Scratch, s: World) -> None:
+def _count(
+    state: State, c: Constants, t: int, here: int, seen: Any, room: Scratch, s: World
+) -> None:
     """Move the counters and headings of the worlds of tile `t` that have flown on by a tick."""
-    counters = state.counters
-    for lane in range(LANES):
-        if room.active[lane] != 0.0:
-            w = t * LANES + lane
-            tick = counters[w, TICK] + 1
-            counters[w, TICK] = tick
-            counters[w, SAMPLES] = tick * s.clock.substeps // s.clock.sample_every
-            counters[w, CLOCK] += counters[w, STARTED]
-    receive(state, t, room)
-    leader, seen = state.vehicles[t, 0], room.seen[min(t, len(room.seen) - 1), 0]
-    seen_before = state.seen[t]
+    move_on(room.active, room.moving, counter(state, TICK, t), counter(state, CLOCK, t))
+    receive(state, t, here, room, s.clock)
+    leader, before, moving, h = state.vehicles[t, 0], room.before, room.moving, s.clock.period
     for i in range(len(c.offsets)):
-        x = state.followers[t, i]
-        d_x, h = c.offsets[i, 0], s.clock.period
-        turn_headings(x, leader, room.before, seen, seen_before, room.moving, d_x, h)
+        x, d_x = state.followers[t, i], c.offsets[i, 0]
+        if state.samples.shape[2] == 0:
+            turn_headings_exactly(x, leader, before, moving, d_x, h)
+        else:
+            turn_headings(x, leader, before, seen[0], room.seen_before, moving, d_x, h)
 
 
 @device
-def _locate(state: State, c: Constants, t: int, room: Scratch) -> None:
-    """Slots, slot errors and separations in all worlds of tile `t`."""
-    vehicles = len(c.offsets) + 1
-    for lane in range(min(LANES, len(state.counters) - t * LANES)):
-        room.started[lane] = 1.0 if state.counters[t * LANES + lane, STARTED] != 0 else 0.0
-    leader, begin = state.vehicles[t, 0], state.begins[t]
+def _begin(state: State, t: int, standing: int, leader: Any) -> Any:
+    """The leader's first reference points in tile `t`, where it counts as being in the worlds `standing`.
+
+    If there are none nobody looks at them, and anything will do that is at hand.
+    """
+    return leader if standing == 0 else state.begins[t]
+
+
+@device
+def _locate(state: State, c: Constants, t: int, here: int, room: Scratch) -> int:
+    """Slots, slot errors and squared separations in the `here` worlds of tile `t`.
+
+    Returns how many lanes wait for their start.
+    """
+    tile, vehicles = state.vehicles[t], len(c.offsets) + 1
+    standing = note_started(counter(state, STARTED, t), room.started)
+    begin = _begin(state, t, standing, tile[0])
     for i in range(1, vehicles):
         x, out = state.followers[t, i - 1], room.outcomes[i - 1]
-        own = state.vehicles[t, i]
-        locate(x, leader, own, begin, room.started, load(c.offsets[i - 1], 0), out)
+        locate(x, tile[0], tile[i], begin, room.started, load(c.offsets[i - 1], 0), out)
         if vehicles <= CROWD:
-            for j in range(vehicles):
+            for j in range(1, vehicles):
                 if j != i:
-                    approach(own, state.vehicles[t, j], out)
+                    approach(tile[i], tile[j], out)
     if vehicles > CROWD:
-        separate_crowd(state.vehicles, t, len(state.counters), room)
-    for i in range(vehicles - 1):
-        separate(room.outcomes[i])
+        separate_crowd(tile, here, room)
+    return standing
 
 
 @device
@@ -350,20 +397,22 @@ def _trigger(state: State, t: int, room: Scratch, s: World) -> bool:
     fired = False
     for lane in range(LANES):
         w = t * LANES + lane
-        if room.active[lane] == 0.0 or state.counters[w, STARTED] != 0:
+        if room.active[lane] == 0.0 or state.counters[STARTED, w] != 0:
             continue
         ready = within(load(vehicle(state, w, 0), 0), begin_of(state, w), s.trigger)
         for i in range(len(room.outcomes)):
             error = room.outcomes[i, ERROR_SQUARED * LANES + lane]
             ready = ready and error < s.trigger * s.trigger
         if ready:
-            state.counters[w, STARTED] = 1
+            state.counters[STARTED, w] = 1
             fired = True
     return fired
 
 
 @device
-def _judge(state: State, t: int, room: Scratch, ends: Any, task: Task, s: Settings) -> None:
+def _judge(
+    state: State, t: int, here: int, room: Scratch, ends: Any, task: Task, s: Settings
+) -> None:
     """Rewards and failures of the worlds of tile `t`: nothing for those that have not flown."""
     n = len(room.actions)
     clear(room.tally)
@@ -379,17 +428,31 @@ def _judge(state: State, t: int, room: Scratch, ends: Any, task: Task, s: Settin
             room.outcomes[i],
             room.tally,
         )
-    counters, impacts = state.counters, room.touches[0]
-    for lane in range(min(LANES, len(counters) - t * LANES)):
-        w = t * LANES + lane
-        ended = late = False
-        if room.active[lane] != 0.0:
-            ended = room.tally[LANES + lane] > 0.0 or impacts[lane] > s.limits.impact
-            late = counters[w, TICK] >= task.max_steps
-            counters[w, OVER] = ended or late
-        ends[0, w] = room.tally[lane] / n
-        ends[1, w] = ended
-        ends[2, w] = late
+    tick, over, verdicts = counter(state, TICK, t), counter(state, OVER, t), room.verdicts
+    impacts, limit, last = room.touches[0], s.limits.impact, task.max_steps
+    conclude(room.active, room.tally, impacts, tick, float(n), limit, last, over, verdicts)
+    for k in range(3):
+        if here == LANES:
+            copy(verdicts, k, carve(ends, k * task.worlds + t * LANES, (LANES,)), 0, 1)
+        else:
+            for lane in range(here):
+                ends[k, t * LANES + lane] = verdicts[k * LANES + lane]
+
+
+@device
+def _show(
+    state: State, t: int, i: int, standing: int, seen: Any, room: Scratch, d: Any, s: World
+) -> None:
+    """What follower `i` of tile `t` sees, into `room.rows`."""
+    x, own, begin = state.followers[t, i], seen[i + 1], _begin(state, t, standing, seen[0])
+    see(x, own, seen[0], begin, room.started, d, room.rows)
+    k = CORE
+    if s.level == REFERENCE:
+        see_guide(x, own, k, room.rows)
+        k += GUIDE
+    if 2 < len(room.actions) <= CROWD:
+        know_few(seen, i, room)
+    see_neighbours(x, seen, i, k, room)
 
 
 @device
@@ -397,68 +460,84 @@ def _look(
     state: State,
     c: Constants,
     t: int,
+    here: int,
+    standing: int,
+    seen: Any,
     room: Scratch,
-    observations: Any,
-    outputs: Any,
+    call: Call,
     task: Task,
     s: World,
 ) -> None:
-    """Write what every follower of tile `t` sees, and what became of it, into flat arrays."""
-    n, width = len(c.offsets), len(OUTPUTS)
-    entries = len(room.rows) // LANES
-    here = min(LANES, len(state.counters) - t * LANES)
+    """Write what every follower of tile `t` sees, and what became of it, into flat arrays.
+
+    Written one by one the results of many followers would go to a place far from the last in every
+    world, each of which has to be fetched first: so they are put together in batches.
+    """
+    n, width, entries = len(c.offsets), len(OUTPUTS), call.entries
     if n > CROWD and task.neighbours > 0:
-        know_crowd(t, len(state.counters), room)
-    begin, seen = state.begins[t], room.seen[min(t, len(room.seen) - 1), 0]
-    for i in range(n):
-        x, own = state.followers[t, i], room.seen[min(t, len(room.seen) - 1), i + 1]
-        see(x, own, seen, begin, room.started, load(c.offsets[i], 0), room.rows)
-        k = CORE
-        if s.level == REFERENCE:
-            see_guide(x, own, k, room.rows)
-            k += GUIDE
-        if 2 < n <= CROWD:
-            know_few(t, i, room)
-        see_neighbours(x, t, i, k, room)
-        first = t * LANES * n + i
-        scatter(room.rows, entries, observations, first * entries, n * entries, here)
-        scatter(room.outcomes[i], width, outputs, first * width, n * width, here)
+        know_crowd(seen, here, room)
+    direct = n <= BATCH and not call.vast
+    for first in range(0, n, BATCH):
+        batch = min(BATCH, n - first)
+        for i in range(first, first + batch):
+            _show(state, t, i, standing, seen, room, load(c.offsets[i], 0), s)
+            outcome = room.outcomes[i]
+            if direct:
+                row = t * LANES * n + i
+                scatter(room.rows, entries, call.seen, row * entries, n * entries, here)
+                scatter(outcome, width, call.told, row * width, n * width, here)
+            else:
+                row = i - first
+                scatter(room.rows, entries, room.shown, row * entries, batch * entries, LANES)
+                scatter(outcome, width, room.told, row * width, batch * width, LANES)
+        if not direct:
+            row = t * LANES * n + first
+            _hand_over(room.shown, call.seen, row, n, batch, entries, here, call.vast)
+            _hand_over(room.told, call.told, row, n, batch, width, here, call.vast)
 
 
 @device
-def _bad_action(actions: Any) -> int:
-    """Number of the first row `(world, follower)` that holds a non-finite number, or -1."""
-    numbers = carve(actions, 0, (actions.size,))
+def _hand_over(
+    source: Any, sink: Any, row: int, n: int, batch: int, width: int, here: int, vast: bool
+) -> None:
+    """Write a batch's rows of `width` numbers to `sink`, those of the first world to row `row`."""
+    run, runs = batch * width, here
+    if batch == n:  # one world's behind the other's
+        run, runs = here * run, 1
+    for k in range(runs):
+        part = carve(source, k * run, (run,))
+        to = (row + k * n) * width
+        if vast:
+            stream(part, sink, to, run)
+        else:
+            copy_on(part, sink, to, run)
+
+
+@device
+def _bad_action(mode: int, actions: Any, state: State) -> int:
+    """Number of the first row `(world, follower)` that holds a non-finite number, or -1.
+
+    Of the worlds that step; what is said of others does not matter.
+    """
+    numbers, row = carve(actions, 0, (actions.size,)), actions.shape[1] * actions.shape[2]
     if count_finite(numbers) < len(numbers):
         for k in range(len(numbers)):
             if not np.isfinite(numbers[k]):
+                if mode == STEP_OR_RESET and state.counters[OVER, k // row] != 0:
+                    continue
                 return int(k // actions.shape[2])
     return -1
-
-
-class Call(NamedTuple):
-    """What one call is about, arrays as flat rows but for the first two and `ends`."""
-
-    mode: int
-    actions: NDArray[np.float32]
-    mask: NDArray[np.bool_]
-    seen: NDArray[np.float32]
-    told: Floats
-    ends: Floats
-    last_seen: NDArray[np.float32]
-    last_told: Floats
-    entries: int
 
 
 @device
 def _posted_call(desk: int, sizes: Any) -> Call:
     """The call whose arrays another thread has put on the desk."""
-    worlds, n, entries = sizes[0], sizes[2] - 1, sizes[10]
+    worlds, n, entries = sizes[0], sizes[2] - 1, sizes[11]
     rows, mode = worlds * n, posted(desk, 0)
     last = rows if mode == STEP_AND_RESET else 0
     return Call(
         mode,
-        array_at(posted(desk, 1), (worlds, n, sizes[13]), np.float32),
+        array_at(posted(desk, 1), (worlds, n, sizes[14]), np.float32),
         array_at(posted(desk, 2), (worlds,), np.bool_),
         array_at(posted(desk, 3), (rows * entries,), np.float32),
         array_at(posted(desk, 4), (rows * len(OUTPUTS),), np.float64),
@@ -466,6 +545,7 @@ def _posted_call(desk: int, sizes: Any) -> Call:
         array_at(posted(desk, 6), (last * entries,), np.float32),
         array_at(posted(desk, 7), (last * len(OUTPUTS),), np.float64),
         entries,
+        rows * (4 * entries + 8 * len(OUTPUTS)) > _STREAMED,
     )
 
 
@@ -491,47 +571,55 @@ def _tick(
 ) -> None:
     """Step or reset those worlds of tile `t` that the call's mask names; look at the others."""
     mode, mask, n = call.mode, call.mask, len(c.offsets)
-    seen, told, last_seen, last_told = call.seen, call.told, call.last_seen, call.last_told
+    told, last_seen, last_told = call.told, call.last_seen, call.last_told
     one = n * call.entries
-    end = min((t + 1) * LANES, len(state.counters))
-    receive(state, t, work)
-    flying, waiting = _prepare(state, t, call.actions, mask, mode, work, s.world)
+    end = min((t + 1) * LANES, task.worlds)
+    here = end - t * LANES
+    seen = work.seen[min(t, len(work.seen) - 1)]  # of one tile if measurements are late
+    receive(state, t, here, work, s.world.clock)
+    flying, waiting, standing = _prepare(state, t, here, call.actions, mask, mode, work, s.world)
     if flying > 0:
-        if flying < end - t * LANES:
+        # Worlds about to be reset need not be kept.
+        kept = flying + waiting < here
+        if kept:
             _save(state, t, work)
-        _lead(state, c, t, work, task.trajectory_kind, s.world)
-        _command(state, t, work, s.world)
-        _fly(state, t, work, s.world)
-        if flying < end - t * LANES:
+        _lead(state, c, t, here, standing, seen, work, task.trajectory_kind, s.world)
+        _command(state, t, seen, work, s.world)
+        _fly(state, t, call, work, s.world)
+        if kept:
             _put_back(state, t, work)
-        _count(state, c, t, work, s.world)
+        _count(state, c, t, here, seen, work, s.world)
     judged, triggered, again = False, flying == 0, True
     while again:
-        if waiting:
+        if waiting > 0:
             for w in range(t * LANES, end):
                 lane = w % LANES
                 fresh = mask[w] and work.active[lane] == 0.0
-                if fresh or (judged and flying > 0 and state.counters[w, OVER] != 0):
+                if fresh or (judged and flying > 0 and state.counters[OVER, w] != 0):
                     start_episode(state, c, w, work, task, s)
                     work.active[lane] = 0.0
-            receive(state, t, work)
-            waiting = False
-        _locate(state, c, t, work)
+            receive(state, t, here, work, s.world.clock)
+            waiting = 0
+        standing = _locate(state, c, t, here, work)
         if not triggered:
             triggered = True
-            if _trigger(state, t, work, s.world):
+            if standing > 0 and _trigger(state, t, work, s.world):
                 continue
-        if not judged:
-            _judge(state, t, work, call.ends, task, s)
+        if judged:
+            for i in range(n):
+                separate(work.outcomes[i])
+        else:
+            _judge(state, t, here, work, call.ends, task, s)
             judged = True
-        _look(state, c, t, work, seen, told, task, s.world)
+        _look(state, c, t, here, standing, seen, work, call, task, s.world)
         again = False
         if mode == STEP_AND_RESET:
             for w in range(t * LANES, end):
-                if work.active[w % LANES] != 0.0 and state.counters[w, OVER] != 0:
-                    repeat(seen, last_seen, w * one, one)
+                if work.active[w % LANES] != 0.0 and state.counters[OVER, w] != 0:
+                    repeat(call.seen, last_seen, w * one, one)
                     repeat(told, last_told, w * n * len(OUTPUTS), n * len(OUTPUTS))
-                    again = waiting = True
+                    again = True
+                    waiting = 1
 
 
 @announced
@@ -564,11 +652,13 @@ def advance(
     Each thing that may happen to a world stands once in here: compiled twice, the same formula may
     come out with other fused operations, and the faces or the threads would differ in a last bit.
     """
+    sizes = size_numbers(memory)
+    results = 4 * observations.size + 8 * outputs.size
+    state, c = open_state(memory, sizes), open_constants(memory, sizes)
     if desk == 0:
-        bad = _bad_action(actions)
+        bad = _bad_action(mode, actions, state)
         if bad >= 0:
             return bad
-    sizes = size_numbers(memory)
     call = Call(
         mode,
         carve(actions, 0, actions.shape),
@@ -578,11 +668,11 @@ def advance(
         carve(ends, 0, ends.shape),
         carve(last_observations, 0, (last_observations.size,)),
         carve(last_outputs, 0, (last_outputs.size,)),
-        sizes[10],
+        sizes[11],
+        results > _STREAMED,
     )
-    state, c = open_state(memory, sizes), open_constants(memory, sizes)
     work = open_scratch(room, state, sizes)
-    task = Task(sizes[11], sizes[12], sizes[13], sizes[14])
+    task = Task(sizes[0], sizes[12], sizes[13], sizes[14], sizes[15])
     s = unpack(c.settings)
     ticket, tiles = 0, sizes[1]
     if desk != 0 and member == 0:
@@ -599,6 +689,8 @@ def advance(
             _tick(state, c, t, call, work, task, s)
             done += 1
             t = t + 1 if desk == 0 else claim(desk, ticket, member)
+        if call.vast:
+            drain()
         if member > 0:
             report(desk, done)
         else:
@@ -608,9 +700,9 @@ def advance(
 
 
 @kernel
-def first_bad_action(actions: NDArray[np.float32]) -> int:
-    """Number of the first row `(world, follower)` that holds a non-finite number, or -1."""
-    return _bad_action(actions)
+def first_bad_action(mode: int, actions: NDArray[np.float32], memory: Floats) -> int:
+    """Number of the first row `(world, follower)` that holds a non-finite number and matters, or -1."""
+    return _bad_action(mode, actions, open_state(memory, size_numbers(memory)))
 
 
 @kernel
@@ -630,3 +722,13 @@ def reference_table(kind: int, table: Floats, period: float, steps: int) -> Floa
     for k in range(steps + 1):
         put_reference(rows[k], evaluate(kind, table, k * period))
     return rows
+
+
+@kernel
+def start_of_leader(kind: int, table: Floats, settings: Floats) -> Floats:
+    """`leader_start` as `(18,)` numbers: position, velocity, acceleration, attitude, rates, heading."""
+    measured, R = leader_start(kind, table, unpack(settings).world)
+    row = np.empty(MEASURED_ROWS + 2)
+    put_sample(row, measured)
+    row[MEASURED_ROWS], row[MEASURED_ROWS + 1] = R.real, R.imag
+    return row

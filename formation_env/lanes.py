@@ -60,7 +60,17 @@ from formation_env.task import (
     reward,
 )
 from formation_env.trajectories import Reference
-from formation_env.world import Action, Guide, World, driven, motion, track, truth
+from formation_env.world import (
+    Action,
+    Guide,
+    World,
+    driven,
+    guide_on,
+    guided,
+    motion,
+    track,
+    truth,
+)
 
 _LANES = np.uint64(LANES)
 _PAIRS = np.uint64(8 * LANES)
@@ -201,11 +211,77 @@ def copy(source: Any, first: int, sink: Any, to: int, rows: int) -> None:
 
 
 @loop
+def copy_on(source: Any, sink: Any, to: int, count: int) -> None:
+    """The first `count` numbers, to `sink[to]`, ..."""
+    a = np.uint64(to)
+    for k in range(np.uint64(count)):
+        sink[a + k] = source[k]
+
+
+@loop
 def repeat(source: Any, sink: Any, first: int, count: int) -> None:
     """`count` numbers from `first` on, at the same place."""
     a = np.uint64(first)
     for k in range(np.uint64(count)):
         sink[a + k] = source[a + k]
+
+
+@loop
+def sort_out(named: Any, over: Any, started: Any, anew: int, active: Any, moving: Any) -> Any:
+    """Which of the worlds named step (`active`), and which of these have started (`moving`).
+
+    `anew` is 2 where all are reset instead, 1 where those are whose episode is over, or 0. Returns how
+    many step, how many are to be reset and how many lanes wait for their start.
+    """
+    flying = waiting = standing = 0
+    for lane in range(_LANES):
+        fresh = named[lane] & ((anew == 2) | ((anew == 1) & (over[lane] != 0)))
+        on = named[lane] & (not fresh)
+        active[lane] = pick(on, 1.0, 0.0)
+        moving[lane] = pick(on & (started[lane] != 0), 1.0, 0.0)
+        flying += on
+        waiting += fresh
+        standing += started[lane] == 0
+    return flying, waiting, standing
+
+
+@loop
+def find_rows(clock: Any, length: int, starts: Any) -> None:
+    """Where each world's row of a table of rows of that length begins."""
+    for lane in range(_LANES):
+        starts[lane] = clock[lane] * length
+
+
+@loop
+def move_on(active: Any, moving: Any, tick: Any, clock: Any) -> None:
+    """A tick later in the worlds that step, on the reference's clock in those that have started."""
+    for lane in range(_LANES):
+        tick[lane] += np.int64(active[lane])
+        clock[lane] += np.int64(moving[lane])
+
+
+@loop
+def number_samples(tick: Any, counts: Any) -> None:
+    """The number of the measurement at the end of each world's tick."""
+    for lane in range(_LANES):
+        counts[lane] = np.uint64(tick[lane] + 1)
+
+
+@loop
+def note_started(started: Any, flags: Any) -> int:
+    """1 where an episode has started, else 0; returns in how many lanes it has not."""
+    standing = 0
+    for lane in range(_LANES):
+        flags[lane] = pick(started[lane] != 0, 1.0, 0.0)
+        standing += started[lane] == 0
+    return standing
+
+
+@loop
+def clip(drawn: Any, executed: Any) -> None:
+    """The four entries of the actions of one follower, clipped."""
+    for k in range(np.uint64(4 * LANES)):
+        executed[k] = min(max(np.float64(drawn[k]), -1.0), 1.0)
 
 
 @loop
@@ -274,9 +350,11 @@ def load_reference(refs: Any, lane: Any) -> Reference:
 
 
 @device
-def _lead(seen: Any, refs: Any, command: Any, lane: Any, actuation: int, world: World) -> None:
-    ref = load_reference(refs, lane)
-    wanted = track(motion(_measured(seen, lane)), ref, actuation, world)
+def _follow(
+    own: Any, ref: Reference, command: Any, lane: Any, actuation: int, world: World
+) -> None:
+    """What the actuators of a vehicle do that the tracker flies along a reference."""
+    wanted = track(motion(_measured(own, lane)), ref, actuation, world)
     applied = saturate(wanted, actuation, world.airframe)
     command[lane] = applied.thrust
     put_vector(command, 1, lane, applied.turn)
@@ -286,14 +364,14 @@ def _lead(seen: Any, refs: Any, command: Any, lane: Any, actuation: int, world: 
 def lead_by_moment(seen: Any, refs: Any, command: Any, world: World) -> None:
     """The tracker's command for a leader driven by moments, in all lanes."""
     for lane in range(_LANES):
-        _lead(seen, refs, command, lane, MOMENT, world)
+        _follow(seen, load_reference(refs, lane), command, lane, MOMENT, world)
 
 
 @loop
 def lead_by_rates(seen: Any, refs: Any, command: Any, world: World) -> None:
     """The tracker's command for a leader driven by rates, in all lanes."""
     for lane in range(_LANES):
-        _lead(seen, refs, command, lane, RATES, world)
+        _follow(seen, load_reference(refs, lane), command, lane, RATES, world)
 
 
 @device
@@ -315,6 +393,44 @@ def drive_by_rates(action: Any, command: Any, world: World) -> None:
     """What an action of level RATE does to a follower's actuators, in all lanes."""
     for lane in range(_LANES):
         _drive(action, command, lane, RATES, world)
+
+
+@device
+def _move_guide(
+    x: Any, action: Any, moving: Any, active: Any, lane: Any, world: World
+) -> Reference:
+    """The virtual follower now, as a reference; in memory it moves on by a tick.
+
+    Before the trigger (40) it waits.
+    """
+    guide = Guide(load_vector(x, GUIDE_P, lane), load_vector(x, GUIDE_V, lane))
+    R = complex(x[at(ESTIMATE, lane)], x[at(ESTIMATE + 1, lane)])
+    m, a = moving[lane], load_vector(action, 0, lane)
+    ref = guided((m * a[0], m * a[1], m * a[2], 0.0), guide, R, world)
+    moved, on = guide_on(guide, ref.a, world.clock.period), active[lane] > 0.0
+    put_vector(x, GUIDE_P, lane, pick_vector(on, moved.p, guide.p))
+    put_vector(x, GUIDE_V, lane, pick_vector(on, moved.v, guide.v))
+    return ref
+
+
+@loop
+def guide_by_moment(
+    x: Any, own: Any, action: Any, moving: Any, active: Any, command: Any, world: World
+) -> None:
+    """Level REFERENCE: move a virtual follower, and command one driven by moments along it."""
+    for lane in range(_LANES):
+        ref = _move_guide(x, action, moving, active, lane, world)
+        _follow(own, ref, command, lane, MOMENT, world)
+
+
+@loop
+def guide_by_rates(
+    x: Any, own: Any, action: Any, moving: Any, active: Any, command: Any, world: World
+) -> None:
+    """The same for a follower driven by rates."""
+    for lane in range(_LANES):
+        ref = _move_guide(x, action, moving, active, lane, world)
+        _follow(own, ref, command, lane, RATES, world)
 
 
 @device
@@ -415,12 +531,19 @@ def sense(
 
 
 @device
-def _turn(
-    x: Any, row: int, lane: Any, on: bool, v0: complex, v1: complex, d_x: float, h: float
-) -> None:
-    R = advance_heading(complex(x[at(row, lane)], x[at(row + 1, lane)]), v0, v1, d_x, h)
+def _turned(x: Any, row: int, lane: Any, v0: complex, v1: complex, d_x: float, h: float) -> complex:
+    return advance_heading(complex(x[at(row, lane)], x[at(row + 1, lane)]), v0, v1, d_x, h)
+
+
+@device
+def _keep_heading(x: Any, row: int, lane: Any, on: bool, R: complex) -> None:
     _keep(x, row, lane, on, R.real)
     _keep(x, row + 1, lane, on, R.imag)
+
+
+@device
+def _planar(x: Any, row: int, lane: Any) -> complex:
+    return complex(x[at(row, lane)], x[at(row + 1, lane)])
 
 
 @loop
@@ -430,17 +553,28 @@ def turn_headings(
     """The slot's heading follows the leader's true motion, the estimate the measured one (23)."""
     for lane in range(_LANES):
         on = moving[lane] > 0.0
-        v0 = complex(before[lane], before[at(1, lane)])
-        v1 = complex(leader[at(3, lane)], leader[at(4, lane)])
-        _turn(x, HEADING, lane, on, v0, v1, d_x, h)
-        w0 = complex(seen_before[lane], seen_before[at(1, lane)])
-        w1 = complex(seen[at(3, lane)], seen[at(4, lane)])
-        _turn(x, ESTIMATE, lane, on, w0, w1, d_x, h)
+        v0, v1 = _planar(before, 0, lane), _planar(leader, 3, lane)
+        _keep_heading(x, HEADING, lane, on, _turned(x, HEADING, lane, v0, v1, d_x, h))
+        w0, w1 = _planar(seen_before, 0, lane), _planar(seen, 3, lane)
+        _keep_heading(x, ESTIMATE, lane, on, _turned(x, ESTIMATE, lane, w0, w1, d_x, h))
+
+
+@loop
+def turn_headings_exactly(
+    x: Any, leader: Any, before: Any, moving: Any, d_x: float, h: float
+) -> None:
+    """The same where the true motion is what is measured."""
+    for lane in range(_LANES):
+        on = moving[lane] > 0.0
+        v0, v1 = _planar(before, 0, lane), _planar(leader, 3, lane)
+        R = _turned(x, HEADING, lane, v0, v1, d_x, h)
+        _keep_heading(x, HEADING, lane, on, R)
+        _keep_heading(x, ESTIMATE, lane, on, R)
 
 
 @loop
 def locate(x: Any, leader: Any, own: Any, begin: Any, started: Any, d: Vector, out: Any) -> None:
-    """Slot, slot error and its square into their rows of `out`; nobody is near yet."""
+    """Slot, slot error and its square into their rows of `out`; the leader is the nearest yet."""
     for lane in range(_LANES):
         on = started[lane] > 0.0
         R = complex(x[at(HEADING, lane)], x[at(HEADING + 1, lane)])
@@ -451,7 +585,8 @@ def locate(x: Any, leader: Any, own: Any, begin: Any, started: Any, d: Vector, o
         put_vector(out, SLOT, lane, target.p)
         put_vector(out, ERROR, lane, error)
         out[at(ERROR_SQUARED, lane)] = dot(error, error)
-        out[at(SEPARATION_SQUARED, lane)] = np.inf
+        apart = sub(load_vector(own, 0, lane), load_vector(leader, 0, lane))
+        out[at(SEPARATION_SQUARED, lane)] = dot(apart, apart)
 
 
 @loop
@@ -482,14 +617,15 @@ def judge(
     out: Any,
     tally: Any,
 ) -> None:
-    """Reward, its terms and kind of failure into `out`; added up in `tally`.
+    """Separation, reward, its terms and kind of failure into `out`; added up in `tally`.
 
     Worlds that have not stepped earn nothing and their followers have not failed.
     """
     for lane in range(_LANES):
         on = active[lane] > 0.0
         error = np.sqrt(out[at(ERROR_SQUARED, lane)])
-        separation = out[at(SEPARATION, lane)]
+        separation = np.sqrt(out[at(SEPARATION_SQUARED, lane)])
+        out[at(SEPARATION, lane)] = separation
         why = failure(separation, touch[lane], touch[at(1, lane)], error, limits)
         a, b = _four(action, 0, lane), _four(x, PREVIOUS, lane)
         terms = reward(error, a, b, size, why != NO_FAILURE, rewards)
@@ -504,6 +640,29 @@ def judge(
         tally[lane] += pick(on, total, 0.0)
         tally[at(1, lane)] = max(tally[at(1, lane)], failed)
         _put_four(x, PREVIOUS, lane, pick_four(on, a, b))
+
+
+@loop
+def conclude(
+    active: Any,
+    tally: Any,
+    impacts: Any,
+    tick: Any,
+    followers: float,
+    limit: float,
+    last: int,
+    over: Any,
+    verdicts: Any,
+) -> None:
+    """Mean reward, whether the episode has failed, whether it is over in time, of all worlds."""
+    for lane in range(_LANES):
+        on = active[lane] > 0.0
+        ended = on & ((tally[at(1, lane)] > 0.0) | (impacts[lane] > limit))
+        late = on & (tick[lane] >= last)
+        over[lane] = np.int64(ended | late) if on else over[lane]
+        verdicts[lane] = tally[lane] / followers
+        verdicts[at(1, lane)] = pick(ended, 1.0, 0.0)
+        verdicts[at(2, lane)] = pick(late, 1.0, 0.0)
 
 
 @device
@@ -589,24 +748,44 @@ def forget(nearest: Any) -> None:
         nearest[at(1, lane)] = -1.0
 
 
+@device
+def _distance_squared(own: Any, other: Any, lane: Any) -> float:
+    e = sub(load_vector(other, 0, lane), load_vector(own, 0, lane))
+    return float(dot(e, e))
+
+
+@device
+def _settle(nearest: Any, lane: Any, r: float, number: float) -> tuple[float, float]:
+    """Let a candidate take the place of who is not so near; returns who is left, the other or itself.
+
+    Of two equally far the one with the smaller number is the nearer.
+    """
+    held, holder = nearest[lane], nearest[at(1, lane)]
+    on = (r < held) | ((r == held) & (number < holder))
+    nearest[lane], nearest[at(1, lane)] = pick(on, r, held), pick(on, number, holder)
+    return pick(on, held, r), pick(on, holder, number)
+
+
 @loop
 def measure(own: Any, other: Any, number: float, candidate: Any) -> None:
     """Squared distance to another follower, and its number."""
     for lane in range(_LANES):
-        e = sub(load_vector(other, 0, lane), load_vector(own, 0, lane))
-        candidate[lane] = dot(e, e)
+        candidate[lane] = _distance_squared(own, other, lane)
         candidate[at(1, lane)] = number
 
 
 @loop
 def insert(candidate: Any, nearest: Any) -> None:
-    """Take the candidate in where it is nearer than who is there, who becomes the candidate.
-
-    Of two equally far the one with the smaller number is the nearer.
-    """
+    """Take the candidate in where it is nearer than who is there, who becomes the candidate."""
     for lane in range(_LANES):
-        r, number = candidate[lane], candidate[at(1, lane)]
-        held, holder = nearest[lane], nearest[at(1, lane)]
-        on = (r < held) | ((r == held) & (number < holder))
-        nearest[lane], nearest[at(1, lane)] = pick(on, r, held), pick(on, number, holder)
-        candidate[lane], candidate[at(1, lane)] = pick(on, held, r), pick(on, holder, number)
+        r, number = _settle(nearest, lane, candidate[lane], candidate[at(1, lane)])
+        candidate[lane], candidate[at(1, lane)] = r, number
+
+
+@loop
+def meet(own: Any, other: Any, number: float, nearest: Any, second: Any, candidate: Any) -> None:
+    """`measure`, and `insert` into the first two places, in one go: most look no further."""
+    for lane in range(_LANES):
+        r, who = _settle(nearest, lane, _distance_squared(own, other, lane), number)
+        r, who = _settle(second, lane, r, who)
+        candidate[lane], candidate[at(1, lane)] = r, who

@@ -20,15 +20,16 @@ from formation_env.sensors import Measured, Noise, silent
 from formation_env.so3 import Vector
 from formation_env.task import Limits, Rewards
 from formation_env.tracker import TrackerLaw
-from formation_env.world import REFERENCE, Clock, Guide, Gusts, Reach, World, every_tick
+from formation_env.world import REFERENCE, Clock, Gusts, Reach, World, every_tick
 
 if TYPE_CHECKING:
     from formation_env.config import FormationConfig
 
 Floats = NDArray[np.float64]
 
-# Columns of State.counters.
-TICK, SAMPLES, STARTED, CLOCK, EPISODE, OVER = range(6)
+# Rows of State.counters.
+TICK, STARTED, CLOCK, EPISODE, OVER = range(5)
+_COUNTERS = 5
 
 # Columns of Results.outputs.
 OUTPUTS = (
@@ -50,6 +51,7 @@ REWARD, TERMS, SLOT, ERROR, SEPARATION, FAILED = 0, 1, 5, 8, 11, 12
 # Rows of Scratch.outcomes that follow these.
 ERROR_SQUARED, SEPARATION_SQUARED, _OUTCOME = 13, 14, 15
 
+BATCH = 8  # followers whose results are put together before they are written
 SIGHT = 8  # numbers of a vehicle in Scratch.points: p, v and two that make it a whole vector
 
 # Rows of State.vehicles: those of a measurement, then the gust where there are any.
@@ -67,18 +69,17 @@ _HALF = np.uint64(32)
 class State(NamedTuple):
     """All that changes: W worlds in T tiles of L lanes; n followers, D samples of delay, N averaged.
 
-    Where measurements are exact and in time they are the state: `vehicles` holds what is measured, its
-    acceleration as of the last measurement, and there are no samples.
+    Where measurements are exact and in time they are the state: `vehicles` holds what is measured, the
+    leader's acceleration as of the last measurement, and there are no samples.
     """
 
     vehicles: Floats  # (T, n+1, R L): p, v, a, q, w and the gust if any; the leader first
     samples: Floats  # (T, n+1, D+1 or 0, 16 L): ring of measurements p, v, a, q, w
     followers: Floats  # (T, n, S L): slot heading, estimated heading, previous action, guide
     speeds: Floats  # (W, N, 3): ring of the leader's measured velocities
-    seen: Floats  # (T, 2 L): the leader's planar velocity as measured one tick ago
     begins: Floats  # (T, 3 L): the leader's first reference point
     tables: Floats  # (W or 1, T): the leader's trajectory
-    counters: NDArray[np.int64]  # (W, 6)
+    counters: NDArray[np.int64]  # (5, T L)
     keys: NDArray[np.uint64]  # (T L,): of the streams
     episode_keys: NDArray[np.uint64]  # (T L,): of the episodes
 
@@ -90,6 +91,7 @@ class Constants(NamedTuple):
     offsets: Floats  # (n, 3): d
     starts: Floats  # (n+1, 3): where vehicles stand at the start on the ground
     drawing: Floats  # bounds of a random trajectory, or empty
+    start: Floats  # (18,): how the leader begins, `leader_start`, or empty if random
     references: (
         Floats  # (max_steps + 1, 16): the leader's reference tick by tick, or empty if random
     )
@@ -102,11 +104,16 @@ class Scratch(NamedTuple):
     moving: Floats  # (L,): 1 for those whose trigger had fired before the tick
     started: Floats  # (L,): 1 for those whose trigger has fired
     tally: Floats  # (2 L,): the followers' rewards added up, whether one failed
+    verdicts: Floats  # (3 L,): a tile's part of `Results.ends`
     before: Floats  # (2 L,): the leader's planar velocity before the tick, m/s
+    seen_before: Floats  # (2 L,): as measured then
     refs: Floats  # (16 L,): the leader's reference, and nothing
     lines: Floats  # (16 L,): 16 numbers of each world, to be turned into rows
     still: Floats  # (3 L,): no gust
     counts: NDArray[np.uint64]  # (L,): numbers of the samples to be taken
+    rows_of: NDArray[np.int64]  # (L,): where each world's row of the leader's reference begins
+    named: NDArray[np.bool_]  # (L,): worlds meant, of a tile that is not full
+    drawn: NDArray[np.float32]  # (4 L,): actions of one follower, as given
     draws: NDArray[np.float32]  # (16 L,): normal numbers
     seen: (
         Floats  # (T or 1, n+1, 16 L or R L): the measurements in hand; of one tile if they are late
@@ -121,6 +128,8 @@ class Scratch(NamedTuple):
     points: Floats  # (L (n+1) 8,): position and velocity of all, world by world, and nothing
     other: Floats  # (8 L,): those of one neighbour in each world
     rows: NDArray[np.float32]  # (entries L,): an observation
+    shown: NDArray[np.float32]  # (L B entries,): observations of a batch of B followers
+    told: Floats  # (L B 13,): their outputs
     saved: Floats  # all vehicles and measurements of a tile some of whose worlds do not step
 
 
@@ -164,6 +173,7 @@ class Sizes(NamedTuple):
     table: int  # numbers in one
     settings: int
     drawing: int
+    start: int
     references: int  # rows
     entries: int
     trajectory_kind: int
@@ -194,11 +204,18 @@ def flatten(value: Any) -> list[float]:
     return [float(value)]
 
 
-def allocate(config: FormationConfig, worlds: int, max_steps: int, references: Floats) -> Floats:
+def settings_of(config: FormationConfig) -> Floats:
+    """`Settings`, flattened."""
+    return np.array(flatten(Settings(config.world, config.reward, config.limits)))
+
+
+def allocate(
+    config: FormationConfig, worlds: int, max_steps: int, start: Floats, references: Floats
+) -> Floats:
     """Memory for `worlds` worlds that have not been reset yet: `Sizes`, `Constants`, `State`."""
     world, path = config.world, config.trajectory
     drawing = np.zeros(0) if path.random is None else np.array(path.random, dtype=np.float64)
-    settings = np.array(flatten(Settings(world, config.reward, config.limits)))
+    settings = settings_of(config)
     exact = plain(every_tick)(world.clock) and plain(silent)(world.noise)
     sizes = Sizes(
         worlds,
@@ -210,6 +227,7 @@ def allocate(config: FormationConfig, worlds: int, max_steps: int, references: F
         len(path.table),
         len(settings),
         len(drawing),
+        len(start),
         len(references),
         config.layout.size,
         path.kind,
@@ -231,12 +249,15 @@ def allocate(config: FormationConfig, worlds: int, max_steps: int, references: F
         config.offsets,
         config.ground_starts(),
         drawing,
+        start,
         references,
     )
     for array, values in zip(constants, fixed, strict=True):
         array[...] = np.asarray(values)
-    state.counters[:, EPISODE] = -1
-    state.counters[:, OVER] = 1
+    state.counters[EPISODE] = -1
+    state.counters[OVER] = 1
+    # Nobody has to wait for the start of a world that is not there.
+    state.counters[STARTED, worlds:] = 1
     state.tables[:] = path.table
     # Lanes without a world are computed all the same: with an attitude, so that nothing divides by 0.
     state.vehicles[:, :, ATTITUDE * LANES : (ATTITUDE + 1) * LANES] = 1.0
@@ -296,7 +317,8 @@ def views(memory: Floats) -> tuple[Constants, State]:
 
 def _constant_lengths(z: Sizes) -> tuple[int, ...]:
     n = z.vehicles - 1
-    return (z.settings, 3 * n, 3 * z.vehicles, z.drawing, REFERENCE_ROW * z.references)
+    table = REFERENCE_ROW * z.references
+    return (z.settings, 3 * n, 3 * z.vehicles, z.drawing, z.start, table)
 
 
 def _state_lengths(z: Sizes) -> tuple[int, ...]:
@@ -306,10 +328,9 @@ def _state_lengths(z: Sizes) -> tuple[int, ...]:
         MEASURED_ROWS * z.vehicles * z.delays * lanes,
         z.follower_rows * n * lanes,
         3 * z.worlds * z.window,
-        2 * lanes,
         3 * lanes,
         z.tables * z.table,
-        6 * z.worlds,
+        _COUNTERS * lanes,
         lanes,
         lanes,
     )
@@ -321,7 +342,8 @@ def _scratch_lengths(z: Sizes) -> tuple[int, ...]:
     n = V - 1
     saved = z.vehicle_rows + (MEASURED_ROWS if z.delays == 1 else 0)
     return (
-        *(L, L, L, 2 * L, 2 * L, REFERENCE_ROW * L, REFERENCE_ROW * L, 3 * L, L, 8 * L),
+        *(L, L, L, 2 * L, 3 * L, 2 * L, 2 * L, REFERENCE_ROW * L, REFERENCE_ROW * L, 3 * L),
+        *(L, L, L // 8, 2 * L, 8 * L),
         MEASURED_ROWS * V * L if z.delays > 1 else 0,
         4 * n * L,
         4 * V * L,
@@ -333,6 +355,8 @@ def _scratch_lengths(z: Sizes) -> tuple[int, ...]:
         SIGHT * V * L,
         SIGHT * L,
         z.entries * L // 2,
+        z.entries * min(n, BATCH) * L // 2,
+        len(OUTPUTS) * min(n, BATCH) * L,
         saved * V * L,
     )
 
@@ -358,7 +382,8 @@ def open_constants(memory: Any, z: Any) -> Constants:
         carve(memory, at[1], (z[2] - 1, 3)),
         carve(memory, at[2], (z[2], 3)),
         carve(memory, at[3], (z[8],)),
-        carve(memory, at[4], (z[9], REFERENCE_ROW)),
+        carve(memory, at[4], (z[9],)),
+        carve(memory, at[5], (z[10], REFERENCE_ROW)),
     )
 
 
@@ -366,18 +391,21 @@ def open_constants(memory: Any, z: Any) -> Constants:
 def open_state(memory: Any, z: Any) -> State:
     """The arrays of `State` in the memory with the head `z`."""
     at = carve(z, _STATE_AT, (_STATE,))
-    T, V, R, S = z[1], z[2], z[15], z[16]
+    T, V, R, S = z[1], z[2], z[16], z[17]
     return State(
         carve(memory, at[0], (T, V, R * LANES)),
         carve(memory, at[1], (T, V, z[3], MEASURED_ROWS * LANES)),
         carve(memory, at[2], (T, V - 1, S * LANES)),
         carve(memory, at[3], (z[0], z[4], 3)),
-        carve(memory, at[4], (T, 2 * LANES)),
-        carve(memory, at[5], (T, 3 * LANES)),
-        carve(memory, at[6], (z[5], z[6])),
-        carve(reinterpret(carve(memory, at[7], (6 * z[0],)), np.int64), 0, (z[0], 6)),
+        carve(memory, at[4], (T, 3 * LANES)),
+        carve(memory, at[5], (z[5], z[6])),
+        carve(
+            reinterpret(carve(memory, at[6], (_COUNTERS * T * LANES,)), np.int64),
+            0,
+            (_COUNTERS, T * LANES),
+        ),
+        reinterpret(carve(memory, at[7], (T * LANES,)), np.uint64),
         reinterpret(carve(memory, at[8], (T * LANES,)), np.uint64),
-        reinterpret(carve(memory, at[9], (T * LANES,)), np.uint64),
     )
 
 
@@ -406,10 +434,10 @@ def _open_crowd(room: Any, at: int, m: int, K: int) -> Crowd:
 def open_scratch(room: Any, state: State, z: Any) -> Scratch:
     """`Scratch` in a flat array of `scratch`; measurements that are not late are used in place."""
     at = carve(z, _SCRATCH_AT, (_SCRATCH + 1,))
-    T, V, K, L = z[1], z[2], z[12] + 1, LANES
-    seen = carve(room, at[10], (1, V, MEASURED_ROWS * L))
+    T, V, K, L = z[1], z[2], z[13] + 1, LANES
+    seen = carve(room, at[15], (1, V, MEASURED_ROWS * L))
     if z[3] == 0:
-        seen = carve(state.vehicles, 0, (T, V, z[15] * L))
+        seen = carve(state.vehicles, 0, (T, V, z[16] * L))
     elif z[3] == 1:
         seen = carve(state.samples, 0, (T, V, MEASURED_ROWS * L))
     return Scratch(
@@ -417,24 +445,31 @@ def open_scratch(room: Any, state: State, z: Any) -> Scratch:
         carve(room, at[1], (L,)),
         carve(room, at[2], (L,)),
         carve(room, at[3], (2 * L,)),
-        carve(room, at[4], (2 * L,)),
-        carve(room, at[5], (REFERENCE_ROW * L,)),
-        carve(room, at[6], (REFERENCE_ROW * L,)),
-        carve(room, at[7], (3 * L,)),
-        reinterpret(carve(room, at[8], (L,)), np.uint64),
-        reinterpret(carve(room, at[9], (8 * L,)), np.float32),
+        carve(room, at[4], (3 * L,)),
+        carve(room, at[5], (2 * L,)),
+        carve(room, at[6], (2 * L,)),
+        carve(room, at[7], (REFERENCE_ROW * L,)),
+        carve(room, at[8], (REFERENCE_ROW * L,)),
+        carve(room, at[9], (3 * L,)),
+        reinterpret(carve(room, at[10], (L,)), np.uint64),
+        reinterpret(carve(room, at[11], (L,)), np.int64),
+        reinterpret(carve(room, at[12], (L // 8,)), np.bool_),
+        reinterpret(carve(room, at[13], (2 * L,)), np.float32),
+        reinterpret(carve(room, at[14], (8 * L,)), np.float32),
         seen,
-        carve(room, at[11], (V - 1, 4 * L)),
-        carve(room, at[12], (V, 4 * L)),
-        carve(room, at[13], (V, 3 * L)),
-        carve(room, at[14], (V - 1, _OUTCOME * L)),
-        carve(room, at[15], (K, 2 * L)),
-        carve(room, at[16], (V - 1, (K - 1) * L)),
-        _open_crowd(room, at[17], V, K - 1),
-        carve(room, at[18], (SIGHT * V * L,)),
-        carve(room, at[19], (SIGHT * L,)),
-        reinterpret(carve(room, at[20], (z[10] * L // 2,)), np.float32),
-        carve(room, at[21], (at[22] - at[21],)),
+        carve(room, at[16], (V - 1, 4 * L)),
+        carve(room, at[17], (V, 4 * L)),
+        carve(room, at[18], (V, 3 * L)),
+        carve(room, at[19], (V - 1, _OUTCOME * L)),
+        carve(room, at[20], (K, 2 * L)),
+        carve(room, at[21], (V - 1, (K - 1) * L)),
+        _open_crowd(room, at[22], V, K - 1),
+        carve(room, at[23], (SIGHT * V * L,)),
+        carve(room, at[24], (SIGHT * L,)),
+        reinterpret(carve(room, at[25], (z[11] * L // 2,)), np.float32),
+        reinterpret(carve(room, at[26], (z[11] * min(V - 1, BATCH) * L // 2,)), np.float32),
+        carve(room, at[27], (len(OUTPUTS) * min(V - 1, BATCH) * L,)),
+        carve(room, at[28], (at[29] - at[28],)),
     )
 
 
@@ -541,17 +576,24 @@ def put_sample(x: Any, m: Measured) -> None:
 
 
 @device
-def latest(state: State, w: int, i: int) -> Measured:
-    """The measurement of vehicle `i` that has arrived: the state itself, or the oldest in its ring."""
-    if state.samples.shape[2] == 0:
-        return load_sample(vehicle(state, w, i))
-    samples = ring(state, w, i)
-    return load_sample(samples[(state.counters[w, SAMPLES] + 1) % len(samples)])
+def counter(state: State, which: int, t: int) -> Any:
+    """One of the counters of all worlds of tile `t`."""
+    return carve(state.counters, which * state.counters.shape[1] + t * LANES, (LANES,))
 
 
 @device
-def load_guide(x: Any) -> Guide:
-    return Guide(load(x, GUIDE_P), load(x, GUIDE_V))
+def oldest(state: State, w: int, clock: Clock) -> int:
+    """Where the oldest of the last samples of world `w` lies in a ring."""
+    taken = state.counters[TICK, w] * clock.substeps // clock.sample_every
+    return int((taken + 1) % state.samples.shape[2])
+
+
+@device
+def latest(state: State, w: int, i: int, clock: Clock) -> Measured:
+    """The measurement of vehicle `i` that has arrived: the state itself, or the oldest in its ring."""
+    if state.samples.shape[2] == 0:
+        return load_sample(vehicle(state, w, i))
+    return load_sample(ring(state, w, i)[oldest(state, w, clock)])
 
 
 @device

@@ -7,7 +7,6 @@ from typing import Any
 from formation_env._jit import device
 from formation_env.blocks import LANES
 from formation_env.memory import (
-    SAMPLES,
     TICK,
     Scratch,
     State,
@@ -15,6 +14,7 @@ from formation_env.memory import (
     load_body,
     load_gust,
     load_sample,
+    oldest,
     put,
     put_sample,
     ring,
@@ -30,6 +30,7 @@ from formation_env.sensors import (
     silent,
 )
 from formation_env.world import (
+    Clock,
     World,
     truth,
 )
@@ -60,7 +61,7 @@ def sense_when_due(state: State, t: int, i: int, room: Scratch, k: int, s: World
         if room.active[lane] == 0.0:
             continue
         w = t * LANES + lane
-        elapsed = state.counters[w, TICK] * s.clock.substeps + k + 1
+        elapsed = state.counters[TICK, w] * s.clock.substeps + k + 1
         if elapsed % s.clock.sample_every != 0:
             continue
         count = elapsed // s.clock.sample_every
@@ -75,14 +76,13 @@ def sense_when_due(state: State, t: int, i: int, room: Scratch, k: int, s: World
 
 
 @device
-def receive(state: State, t: int, room: Scratch) -> None:
-    """Fetch the measurements that have arrived in all worlds of tile `t`, if they are late."""
-    samples, seen, counters = state.samples, room.seen, state.counters
-    delays = samples.shape[2]
-    if delays <= 1:
+def receive(state: State, t: int, here: int, room: Scratch, clock: Clock) -> None:
+    """Fetch the measurements that have arrived in the `here` worlds of tile `t`, if they are late."""
+    samples, seen = state.samples, room.seen
+    if samples.shape[2] <= 1:
         return
     for i in range(samples.shape[1]):
-        for lane in range(min(LANES, len(counters) - t * LANES)):
-            at = (counters[t * LANES + lane, SAMPLES] + 1) % delays
+        for lane in range(here):
+            at = oldest(state, t * LANES + lane, clock)
             for k in range(16):
                 seen[0, i, k * LANES + lane] = samples[t, i, at, k * LANES + lane]

@@ -77,23 +77,26 @@ class Simulation:
             self._threads = 1  # Python has no atomics
         self._results = memory.Shapes(config, num_worlds).results
         self.layout: Layout = config.layout
-        references = np.zeros((0, memory.REFERENCE_ROW))
+        start, references = np.zeros(0), np.zeros((0, memory.REFERENCE_ROW))
         if config.trajectory.random is None:
             kind, table = config.trajectory.kind, config.trajectory.table
             period = float(config.control_period)
+            start = kernels.start_of_leader(kind, table, memory.settings_of(config))
             references = kernels.reference_table(kind, table, period, config.max_steps)
-        self._memory = memory.allocate(config, num_worlds, self.max_steps, references)
+        self._memory = memory.allocate(config, num_worlds, self.max_steps, start, references)
         self._state = memory.views(self._memory)[1]
         self._rooms = [memory.scratch(self._memory) for _ in range(self._threads)]
         self._everyone = np.ones(num_worlds, dtype=np.bool_)
         self._team: Team | None = None
+        self._begun = False
 
     # -- stepping ---------------------------------------------------------------------------------
 
     def seed(self, world: int, key: int) -> None:
         """Give a world a new random stream; its next reset starts that stream's first episode."""
         self._state.keys[world] = key
-        self._state.counters[world, EPISODE] = -1
+        self._state.counters[EPISODE, world] = -1
+        self._begun = False
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> Results:
         """Start a new episode in the worlds of `mask` (all by default)."""
@@ -102,7 +105,10 @@ class Simulation:
     def step(
         self, actions: NDArray[np.float32], mode: int = kernels.STEP, mask: Any = None
     ) -> Results:
-        """One control tick in the worlds of `mask`. `mode` says what happens to ended episodes."""
+        """One control tick in the worlds of `mask`. `mode` says what happens to ended episodes.
+
+        Actions of worlds that are reset instead are not looked at.
+        """
         if not actions.flags.carray:
             # Another layout or a read-only array would be another type, compiled for anew.
             actions = np.array(actions, order="C")
@@ -122,7 +128,7 @@ class Simulation:
         advance: Any = kernels.advance
         desk, bad = 0, -1
         if self._threads > 1:
-            bad = kernels.first_bad_action(actions)
+            bad = kernels.first_bad_action(mode, actions, self._memory)
             if bad < 0:
                 # Rung before there is work: they wake while this thread is on its way into the kernel.
                 desk = self._gathered().wake()
@@ -169,6 +175,11 @@ class Simulation:
 
     # -- looking in -------------------------------------------------------------------------------
 
+    def _counter(self, which: int) -> NDArray[np.int64]:
+        """One of the counters of all worlds, in place."""
+        row: NDArray[np.int64] = self._state.counters[which, : self.num_worlds]
+        return row
+
     @property
     def _vehicles(self) -> Floats:
         return memory.by_world(self._state.vehicles, self.num_worlds)
@@ -207,31 +218,37 @@ class Simulation:
     @property
     def started(self) -> NDArray[Any]:
         """Whether the trigger (40) has fired, per world."""
-        return np.not_equal(self._state.counters[:, STARTED], 0)
+        return np.not_equal(self._counter(STARTED), 0)
 
     @property
     def seeded(self) -> NDArray[np.bool_]:
         """Whether an episode has been started since the last `seed`, per world."""
-        return self._state.counters[:, EPISODE] >= 0
+        return self._counter(EPISODE) >= 0
+
+    @property
+    def begun(self) -> bool:
+        """Whether every world is `seeded`: asked in each step, so the answer yes is kept."""
+        self._begun = self._begun or bool(self.seeded.all())
+        return self._begun
 
     def ended(self, world: int) -> bool:
         """Whether the episode of one world has ended, or none has begun."""
-        return bool(self._state.counters[world, OVER])
+        return bool(self._state.counters[OVER, world])
 
     @property
     def over(self) -> NDArray[Any]:
         """Whether the episode has ended, per world."""
-        return np.not_equal(self._state.counters[:, OVER], 0)
+        return np.not_equal(self._counter(OVER), 0)
 
     @property
     def time(self) -> NDArray[Any]:
         """Time since reset, s, per world."""
-        return self._state.counters[:, TICK] * self.config.control_period
+        return self._counter(TICK) * self.config.control_period
 
     @property
     def clock(self) -> NDArray[Any]:
         """Time since the trigger (40), s, per world: the argument of the leader's reference."""
-        return self._state.counters[:, CLOCK] * self.config.control_period
+        return self._counter(CLOCK) * self.config.control_period
 
     def reference(self, times: Floats, world: int = 0) -> Floats:
         """The leader's reference positions at `times` since the trigger, `(N, 3)`, m, inertial."""

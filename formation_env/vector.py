@@ -106,7 +106,7 @@ class FormationVectorEnv(VectorEnv[Array, Array, Array]):
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         """One control tick in every world."""
-        if not self._simulation.seeded.all():
+        if not self._simulation.begun:
             raise ResetNeeded("some worlds have not begun: call reset() before step()")
         mode = _MODES[self.autoreset_mode]
         if mode == STEP and self._simulation.over.any():
@@ -114,17 +114,14 @@ class FormationVectorEnv(VectorEnv[Array, Array, Array]):
             raise ResetNeeded(f"worlds {over}... are over: reset them with a reset_mask first")
         n, k = self.config.followers, self.config.action_size
         rows = faces.read_action(actions, (self.num_envs, n * k), "actions")
-        if mode == STEP_OR_RESET and self._simulation.over.any():
-            rows = rows.copy()
-            rows[self._simulation.over] = 0.0  # worlds about to be reset: not looked at
         results = self._simulation.step(rows.reshape(self.num_envs, n, k), mode)
         self._begin_drawing()
-        info = _masked(faces.describe(results.outputs), np.ones(self.num_envs, dtype=np.bool_))
-        done = results.terminated | results.truncated
-        if mode == STEP_AND_RESET and done.any():
+        terminated, truncated = results.terminated, results.truncated
+        everyone = np.ones(self.num_envs, dtype=np.bool_)
+        info = _masked(faces.describe(results.outputs, terminated), everyone)
+        if mode == STEP_AND_RESET and (done := terminated | truncated).any():
             info |= self._final(results, done)
-        rows = self._rows(results.observations)
-        return rows, results.rewards, results.terminated, results.truncated, info
+        return self._rows(results.observations), results.rewards, terminated, truncated, info
 
     def _final(self, results: Results, done: NDArray[np.bool_]) -> dict[str, Any]:
         """What the ended episodes looked like at their last step."""

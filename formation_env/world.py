@@ -26,7 +26,6 @@ from formation_env.quadrotor import (
     Wrench,
     acceleration,
     moment,
-    saturate,
 )
 from formation_env.rng import GUST, START, normals, uniforms
 from formation_env.sensors import Measured, Noise
@@ -139,13 +138,6 @@ def driven(action: Action, world: World) -> Wrench:
     r = world.reach
     turn = (r.turn[0] * action[1], r.turn[1] * action[2], r.turn[2] * action[3])
     return Wrench(0.5 * r.thrust * (action[0] + 1.0), turn)
-
-
-@device
-def command_guided(m: Measured, ref: Reference, world: World) -> Wrench:
-    """What the actuators do at level REFERENCE: the tracker flies along `ref`."""
-    wanted = track(motion(m), ref, world.follower_actuation, world)
-    return saturate(wanted, world.follower_actuation, world.airframe)
 
 
 @device
