@@ -43,7 +43,7 @@ from formation_env.sensors import (
 )
 from formation_env.slots import slot
 from formation_env.so3 import Vector
-from formation_env.trajectories import draw, evaluate, start_direction
+from formation_env.trajectories import Reference, draw, evaluate, start_direction
 from formation_env.world import (
     REFERENCE,
     World,
@@ -111,11 +111,10 @@ def _start_of(state: State, w: int, R: complex, d: Vector, s: World) -> Any:
 
 
 @device
-def leader_start(kind: int, table: Any, s: World) -> tuple[Measured, complex]:
-    """How the leader begins where it begins in flight, and the heading of its reference then."""
-    begin = evaluate(kind, table, 0.0)
+def leader_start(begin: Reference, s: World) -> Measured:
+    """How the leader begins at the begin of its reference where it begins in flight."""
     body = trimmed(begin, s)
-    return Measured(body.p, body.v, begin.a, body.q, body.w), start_direction(kind, table)
+    return Measured(body.p, body.v, begin.a, body.q, body.w)
 
 
 @device
@@ -135,7 +134,8 @@ def start_episode(
     if len(c.start) > 0:
         leader, R = load_sample(c.start), complex(c.start[16], c.start[17])
     else:
-        leader, R = leader_start(task.trajectory_kind, table, s.world)
+        leader = leader_start(evaluate(task.trajectory_kind, table, 0.0), s.world)
+        R = start_direction(task.trajectory_kind, table)
     for k in range(3):
         state.begins[w // LANES, k * LANES + w % LANES] = leader.p[k]
 

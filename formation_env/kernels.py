@@ -94,7 +94,7 @@ from formation_env.team import (
     report,
     settle,
 )
-from formation_env.trajectories import Reference, evaluate
+from formation_env.trajectories import Reference, evaluate, start_direction
 from formation_env.world import (
     RATE,
     REFERENCE,
@@ -207,21 +207,24 @@ def _lead(
     table, lines, starts = carve(c.references, 0, (c.references.size,)), room.lines, room.rows_of
     copy(state.vehicles[t, 0], 3, room.before, 0, 2)
     copy(seen[0], 3, room.seen_before, 0, 2)
+    source = table
     if len(table) > 0 and standing == 0:
         find_rows(counter(state, CLOCK, t), REFERENCE_ROW, starts)
-        gather(table, starts, room.refs)
-        return
-    for lane in range(LANES):
-        w = t * LANES + min(lane, here - 1)  # that nothing divides by zero where there is no world
-        starts[lane] = lane * REFERENCE_ROW
-        line = carve(lines, starts[lane], (REFERENCE_ROW,))
-        if state.counters[STARTED, w] != 0 and len(table) > 0:
-            row = carve(table, state.counters[CLOCK, w] * REFERENCE_ROW, (REFERENCE_ROW,))
-            for k in range(REFERENCE_ROW):
-                line[k] = row[k]
-        else:
-            _refer(state, w, line, kind, s)
-    gather(lines, starts, room.refs)
+    else:
+        source = lines
+        for lane in range(LANES):
+            w = t * LANES + min(
+                lane, here - 1
+            )  # that nothing divides by zero where there is no world
+            starts[lane] = lane * REFERENCE_ROW
+            line = carve(lines, starts[lane], (REFERENCE_ROW,))
+            if state.counters[STARTED, w] != 0 and len(table) > 0:
+                row = carve(table, state.counters[CLOCK, w] * REFERENCE_ROW, (REFERENCE_ROW,))
+                for k in range(REFERENCE_ROW):
+                    line[k] = row[k]
+            else:
+                _refer(state, w, line, kind, s)
+    gather(source, starts, room.refs)
 
 
 @device
@@ -477,19 +480,16 @@ def _look(
     if n > CROWD and task.neighbours > 0:
         know_crowd(seen, here, room)
     direct = n <= BATCH and not call.vast
+    shown, told, lanes = room.shown, room.told, LANES
+    if direct:
+        shown, told, lanes = call.seen, call.told, here
     for first in range(0, n, BATCH):
         batch = min(BATCH, n - first)
         for i in range(first, first + batch):
             _show(state, t, i, standing, seen, room, load(c.offsets[i], 0), s)
-            outcome = room.outcomes[i]
-            if direct:
-                row = t * LANES * n + i
-                scatter(room.rows, entries, call.seen, row * entries, n * entries, here)
-                scatter(outcome, width, call.told, row * width, n * width, here)
-            else:
-                row = i - first
-                scatter(room.rows, entries, room.shown, row * entries, batch * entries, LANES)
-                scatter(outcome, width, room.told, row * width, batch * width, LANES)
+            row = t * LANES * n + i if direct else i - first
+            scatter(room.rows, entries, shown, row * entries, batch * entries, lanes)
+            scatter(room.outcomes[i], width, told, row * width, batch * width, lanes)
         if not direct:
             row = t * LANES * n + first
             _hand_over(room.shown, call.seen, row, n, batch, entries, here, call.vast)
@@ -716,19 +716,22 @@ def reference_path(kind: int, table: Floats, times: Floats) -> Floats:
 
 @announced
 @kernel
-def reference_table(kind: int, table: Floats, period: float, steps: int) -> Floats:
-    """A trajectory tick by tick, `(steps + 1, 16)`: position and four derivatives."""
-    rows = np.zeros((steps + 1, REFERENCE_ROW))
+def reference_table(
+    kind: int, table: Floats, settings: Floats, steps: int
+) -> tuple[Floats, Floats]:
+    """A trajectory tick by tick, `(steps + 1, 16)`: position and four derivatives.
+
+    And `(18,)` numbers of the leader at its start: what `leader_start` says, and the heading.
+    """
+    world = unpack(settings).world
+    rows, start = np.zeros((steps + 1, REFERENCE_ROW)), np.empty(MEASURED_ROWS + 2)
     for k in range(steps + 1):
-        put_reference(rows[k], evaluate(kind, table, k * period))
-    return rows
-
-
-@kernel
-def start_of_leader(kind: int, table: Floats, settings: Floats) -> Floats:
-    """`leader_start` as `(18,)` numbers: position, velocity, acceleration, attitude, rates, heading."""
-    measured, R = leader_start(kind, table, unpack(settings).world)
-    row = np.empty(MEASURED_ROWS + 2)
-    put_sample(row, measured)
-    row[MEASURED_ROWS], row[MEASURED_ROWS + 1] = R.real, R.imag
-    return row
+        put_reference(rows[k], evaluate(kind, table, k * world.clock.period))
+    first = rows[0]
+    begin = Reference(
+        load(first, 0), load(first, 3), load(first, 6), load(first, 9), load(first, 12)
+    )
+    put_sample(start, leader_start(begin, world))
+    R = start_direction(kind, table)
+    start[MEASURED_ROWS], start[MEASURED_ROWS + 1] = R.real, R.imag
+    return rows, start

@@ -80,9 +80,8 @@ class Simulation:
         start, references = np.zeros(0), np.zeros((0, memory.REFERENCE_ROW))
         if config.trajectory.random is None:
             kind, table = config.trajectory.kind, config.trajectory.table
-            period = float(config.control_period)
-            start = kernels.start_of_leader(kind, table, memory.settings_of(config))
-            references = kernels.reference_table(kind, table, period, config.max_steps)
+            settings = memory.settings_of(config)
+            references, start = kernels.reference_table(kind, table, settings, config.max_steps)
         self._memory = memory.allocate(config, num_worlds, self.max_steps, start, references)
         self._state = memory.views(self._memory)[1]
         self._rooms = [memory.scratch(self._memory) for _ in range(self._threads)]
