@@ -115,6 +115,71 @@ def test_a_history_ends_where_the_episode_began_and_survives_the_ring() -> None:
     assert (np.diff(inputs, axis=1) >= 0.0).all()
 
 
+def test_the_teacher_flies_as_itself_above_an_expert_if_the_bound_allows() -> None:
+    """Labels are what the expert, asked in parallel, lacks; together they fly the teacher's episodes."""
+    config = configure("paper", duration=0.5, start="formation")
+    bound = 1.0
+    memories = [memory_of(config, 4, 60), memory_of(config, 4, 60)]
+    for memory, residual in zip(memories, (0.0, bound), strict=True):
+        flight = Flight(config, make_policy("expert-tuned", config), 4, seed=5, residual=residual)
+        flight.fly(60, memory)
+    plain, above = memories
+    np.testing.assert_allclose(above.seen, plain.seen, atol=1e-4)
+    assert ((above._age == 0).sum(axis=0) > 1).all()  # several episodes
+    largest = 0.0
+    for world in range(4):
+        expert, own = make_policy("expert", config), slice(2 * world, 2 * world + 2)
+        for tick in range(60):
+            if above._age[tick, 2 * world] == 0:
+                expert.reset()
+            lacks = plain.labels[tick, own] - expert.act(above.seen[tick, own])
+            np.testing.assert_allclose(bound * above.labels[tick, own], lacks, atol=1e-4)
+            largest = max(largest, float(np.abs(lacks).max()))
+    assert largest > 0.05
+
+
+def test_a_correction_flies_from_its_file_as_it_learned_to_fly() -> None:
+    """Bounded so tightly that it must be clipped."""
+    config, bound = configure("paper", duration=0.5, start="formation"), 0.02
+    torch.manual_seed(0)
+    clone = Clone(config, 1, (8,), "tanh")
+    flight = Flight(config, make_policy("expert-tuned", config), 8, seed=2, residual=bound)
+    first = memory_of(config, 8, 30)
+    flight.fly(30, first)
+    assert (np.abs(first.labels) == 1.0).any()
+    clone.fit_to(*first.everything(), config.layout)
+    clone.size.fill_(2.0)
+    flight = Flight(config, make_policy("expert-tuned", config), 8, seed=2, residual=bound)
+    memory = memory_of(config, 8, 60)
+    flight.fly(60, memory, clone, share=0.0)
+    card = clone.card(config, "residual-dagger", residual=bound)
+    policy, simulation = Learned(config, (card, clone.network())), Simulation(config, 8)
+    rng = np.random.default_rng(2)
+    left = rng.integers(1, config.max_steps + 1, 8)
+    for world in range(8):
+        simulation.seed(world, seeded_key(TRAINING_SEEDS + 8 * 2 + world))
+    seen = simulation.reset().observations
+    for tick in range(60):
+        np.testing.assert_allclose(memory.seen[tick].reshape(seen.shape), seen, atol=1e-4)
+        results = simulation.step(policy.act(seen))
+        seen, left = results.observations, left - 1
+        done = results.terminated | results.truncated | (left == 0)
+        if done.any():
+            seen = simulation.reset(done).observations
+            policy.restart(done)
+
+
+def test_a_corrected_expert_is_better_than_the_expert(tmp_path: Path) -> None:
+    words = ["--worlds", "32", "--rounds", "6", "--ticks", "100", "--updates", "100", "--quiet",
+             "--scenario", "paper", "--action", "rates", "--teacher", "expert-tuned",
+             "--residual", "0.8", "--batch", "512", "--evaluate-every", "1",
+             "--episodes", "4"]  # fmt: skip
+    assert main(["--output", str(tmp_path), *words]) == 0
+    card, _ = files.load(tmp_path / "best.safetensors")
+    assert (card.method, card.residual) == ("residual-dagger", 0.8)
+    assert card.score["paper"][1] > 1.1
+
+
 @pytest.mark.parametrize(("activation", "history"), [("tanh", 1), ("relu", 3)])
 def test_the_policy_file_says_what_the_clone_says(
     activation: str, history: int, tmp_path: Path
@@ -159,6 +224,8 @@ def test_a_seed_decides_everything(method: str, tmp_path: Path) -> None:
         (["--buffer", "20"], "--buffer 20"),
         (["--hidden", "0"], "--hidden"),
         (["--action", "thoughts"], "action"),
+        (["--residual", "1.5", "--teacher", "expert-tuned"], "--residual 1.5"),
+        (["--residual", "0.5"], "--teacher expert"),
     ],
 )
 def test_impossible_options_end_before_anything_is_written(

@@ -42,7 +42,9 @@ class Course:
         torch.set_num_threads(options.threads)
         torch.manual_seed(options.seed)
         self._rng = np.random.default_rng((options.seed, 1))
-        self.flight = Flight(config, teacher, options.worlds, options.seed, options.threads)
+        self.flight = Flight(
+            config, teacher, options.worlds, options.seed, options.threads, options.residual
+        )
         rows = options.worlds * config.followers
         self.memory = Memory(
             options.buffer, rows, config.layout.size, config.action_size, options.history
@@ -130,7 +132,8 @@ class Course:
         minutes = (perf_counter() - self._begun) / 60.0
         card = self.clone.card(
             self.config,
-            o.method,
+            o.method if o.residual == 0.0 else f"residual-{o.method}",
+            residual=o.residual,
             command=o.command(),
             seed=o.seed,
             steps=self.samples,

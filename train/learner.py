@@ -14,6 +14,7 @@ import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure as configure_logger
+from tqdm import TqdmExperimentalWarning
 
 import formation_env
 from baselines import files
@@ -32,12 +33,28 @@ RESIDUAL_STD = 0.3  # of the exploration, as part of the bound
 
 @final
 class Learner(PPO):
-    """PPO that can let the critic learn alone at first, and that keeps time."""
+    """PPO that can let the critic learn alone at first or faster, and that keeps time."""
 
     seconds = 0.0  # in updates
     alone_until = 0  # agent steps
+    actor_rate = 1.0  # part of the learning rate
 
     policy: FollowerPolicy
+
+    def part(self, actor_rate: float) -> None:
+        """Let the actor take so much of the learning rate. Before anything is learned."""
+        self.actor_rate = actor_rate
+        actor = self.policy.actor_parameters()
+        own = {id(p) for p in actor}
+        critic = [p for p in self.policy.parameters() if id(p) not in own]
+        groups = [{"params": actor}, {"params": critic}]
+        kind, settings = self.policy.optimizer_class, self.policy.optimizer_kwargs
+        self.policy.optimizer = kind(groups, lr=self.lr_schedule(1.0), **settings)  # type: ignore[call-arg]
+
+    def _update_learning_rate(self, optimizers: Any) -> None:
+        super()._update_learning_rate(optimizers)
+        if self.actor_rate != 1.0:
+            self.policy.optimizer.param_groups[0]["lr"] *= self.actor_rate
 
     def train(self) -> None:
         """One update."""
@@ -155,12 +172,15 @@ class Run:
             stop,
         )
         begun = perf_counter()
-        self.model.learn(
-            max(0, o.steps - self.model.num_timesteps),
-            [_Measure(self)] * (o.normalise == "running") + [self._keeper],
-            reset_num_timesteps=False,
-            progress_bar=not o.quiet,
-        )
+        with warnings.catch_warnings():
+            # Of the progress bar, which is a rich one.
+            warnings.simplefilter("ignore", TqdmExperimentalWarning)
+            self.model.learn(
+                max(0, o.steps - self.model.num_timesteps),
+                [_Measure(self)] * (o.normalise == "running") + [self._keeper],
+                reset_num_timesteps=False,
+                progress_bar=not o.quiet,
+            )
         self._total = perf_counter() - begun
 
     def profile(self) -> str:
@@ -273,11 +293,10 @@ def _fitted(options: Options, card: Card, net: Network) -> Options:
 
 def _method(options: Options, source: tuple[Card, Network] | None) -> str:
     """What the policy's card calls the way it was trained."""
-    if options.residual > 0.0:
-        return "residual"
-    if source is None or source[0].method.endswith("ppo"):
-        return "ppo" if source is None else source[0].method
-    return f"{source[0].method}-ppo"
+    if source is None:
+        return "ppo" if options.residual == 0.0 else "residual"
+    own = source[0].method
+    return own if own == "residual" or own.endswith("ppo") else f"{own}-ppo"
 
 
 def _environment(options: Options) -> FollowerVecEnv:
@@ -336,6 +355,8 @@ def _model(options: Options, env: FollowerVecEnv, source: tuple[Card, Network] |
             },
         )
     model.alone_until = options.critic_steps
+    if options.actor_rate != 1.0:
+        model.part(options.actor_rate)
     model.set_logger(configure_logger(str(Path(options.output) / "tensorboard"), ["tensorboard"]))
     policy = model.policy
     if source is None:
