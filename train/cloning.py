@@ -233,7 +233,7 @@ class Flight:
             memory.add(self._seen.reshape(self.worlds * n, -1), np.repeat(self._age, n))
             labels, below = self._ask()
             memory.label(labels.reshape(self.worlds * n, -1))
-            actions = labels
+            actions: NDArray[Any] = labels
             if clone is not None and not taught.all():
                 now = np.full(len(everyone), memory.count - 1)
                 own = clone.act(memory.inputs(now, everyone)).reshape(labels.shape)
