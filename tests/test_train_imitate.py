@@ -290,3 +290,17 @@ def test_whatever_ends_it_the_best_so_far_stays(
     assert len((tmp_path / "log.csv").read_text().splitlines()) == 2
     assert sorted(p.name for p in tmp_path.iterdir()) == ["best.safetensors", "log.csv"]
     assert "Traceback" not in capsys.readouterr().err
+
+
+def test_exploration_is_white_and_what_is_learned_is_not_disturbed() -> None:
+    """Labels are the teacher's; what was executed, as the next observation shows, is noisy."""
+    config = configure("nominal", action="reference")
+    flight = Flight(config, make_policy("expert", config), 32, seed=1)
+    flight.explore = 0.1
+    flight._left[:] = -1
+    memory = memory_of(config, 32, 50)
+    flight.fly(50, memory)
+    executed = memory.seen[1:, :, config.layout.slices["previous_action"]][..., :3]
+    noise = (executed - memory.labels[:-1]).astype(np.float64)
+    assert noise.std() == pytest.approx(0.1, rel=0.03)
+    assert abs((noise[1:] * noise[:-1]).mean()) < 0.03 * 0.01

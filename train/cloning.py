@@ -186,6 +186,8 @@ class Flight:
     the clipped correction: better a policy of this kind cannot be.
     """
 
+    explore = 0.0  # standard deviation of white noise on everything that is executed, labels' unit
+
     def __init__(
         self,
         config: FormationConfig,
@@ -242,6 +244,8 @@ class Flight:
                 self._left[far.any(axis=(1, 2))] = 1
             if noise is not None:
                 actions = actions + self._disturbance(noise)
+            if self.explore > 0.0:
+                actions = actions + self.explore * self.rng.standard_normal(actions.shape)
             self._step(self._executed(actions.astype(np.float32), below))
 
     def _ask(self) -> tuple[Rows, Rows | None]:

@@ -45,6 +45,7 @@ class Course:
         self.flight = Flight(
             config, teacher, options.worlds, options.seed, options.threads, options.residual
         )
+        self.flight.explore = options.explore
         rows = options.worlds * config.followers
         self.memory = Memory(
             options.buffer, rows, config.layout.size, config.action_size, options.history

@@ -66,6 +66,10 @@ class Options:
     home there is nothing to learn for those who keep close."""
     noise: float = 0.0
     """Of executed actions, in units of the size of what is learned: shows recoveries (DART)."""
+    explore: float = 0.0
+    """Of white noise on executed actions, all the time, in the unit of PPO's `--std`: a clone that has
+    always flown smoothly takes the last action's least change for a sign, and PPO's exploration throws
+    it off; one that PPO is to go on from should know it."""
     batch: int = 2048
     """Samples in a step of the optimiser."""
     learning_rate: float = 3e-3
@@ -128,6 +132,7 @@ _REAL = {
     "share": (0.0, 1.0),
     "stray": (1.0, 1e9),
     "noise": (0.0, 1e3),
+    "explore": (0.0, 1.0),
     "learning_rate": (1e-12, 1.0),
     "huber": (1e-6, 1e6),
 }
