@@ -88,9 +88,7 @@ def stacked(history: int, seed: int, minutes: float, episodes: int) -> Figure:
         score, columns = run.judge.judge(*run.made())
     three = (float(score.value), float(score.low), float(score.high))
     name = f"history of {history}"
-    return Figure(
-        name, seed, run.model.num_timesteps, used, three, float(columns["failed"].mean())
-    )
+    return Figure(name, seed, run.model.num_timesteps, used, three, float(columns["failed"].mean()))
 
 
 def recurrent(seed: int, minutes: float, episodes: int) -> Figure:
@@ -242,7 +240,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # theirs, at import
         try:
-            import sb3_contrib  # type: ignore[import-untyped]  # noqa: F401
+            import sb3_contrib  # noqa: F401
 
             import train.learner  # noqa: F401
         except ModuleNotFoundError as problem:
