@@ -16,7 +16,7 @@ with warnings.catch_warnings():
     pytest.importorskip("tyro")
     torch = pytest.importorskip("torch")
     from train import course
-    from train.cloning import Clone, Flight, Memory, Truth
+    from train.cloning import Clone, Flight, Memory
 
 from baselines import files, make_policy
 from baselines.learned import Learned
@@ -226,8 +226,6 @@ def test_a_seed_decides_everything(method: str, tmp_path: Path) -> None:
         (["--action", "thoughts"], "action"),
         (["--residual", "1.5", "--teacher", "expert-tuned"], "--residual 1.5"),
         (["--residual", "0.5"], "--teacher expert"),
-        (["--privileged"], "no noise on nominal"),
-        (["--privileged", "--scenario", "experiment"], "late on experiment"),
     ],
 )
 def test_impossible_options_end_before_anything_is_written(
@@ -306,33 +304,3 @@ def test_exploration_is_white_and_what_is_learned_is_not_disturbed() -> None:
     noise = (executed - memory.labels[:-1]).astype(np.float64)
     assert noise.std() == pytest.approx(0.1, rel=0.03)
     assert abs((noise[1:] * noise[:-1]).mean()) < 0.03 * 0.01
-
-
-def test_a_privileged_teacher_sees_the_truth_and_the_clone_what_is_measured() -> None:
-    """Positions of the truth are the simulation's; labels are what a teacher of the truth says."""
-    config = configure("paper", start="formation", action="reference")
-    flight = Flight(config, make_policy("expert-tuned", config), 4, seed=1)
-    flight.truth = Truth(config, 4)
-    memory = memory_of(config, 4, 30)
-    flight.fly(30, memory)
-    before = flight.simulation.get_state().state
-    seen = flight.truth.observe(flight.simulation)
-    for name, array in flight.simulation.get_state().state.items():
-        np.testing.assert_array_equal(array, before[name])
-    at, error = (config.layout.slices[name] for name in ("position", "slot_error"))
-    here = flight.simulation.positions[:, 1:]
-    apart = np.linalg.norm(here - flight.simulation.slots, axis=2)
-    for rows, near in ((seen, True), (flight._seen, False)):
-        wrong = np.linalg.norm(rows[..., at], axis=2) - np.linalg.norm(here, axis=2)
-        assert (np.abs(wrong) < 1e-4).all() == near
-        # The slot's estimated direction is what it is for both.
-        off = np.linalg.norm(rows[..., error], axis=2) - apart
-        assert (np.abs(off) < 0.05).all() == near
-    teacher = make_policy("expert-tuned", config)
-    again = Flight(config, teacher, 4, seed=1)
-    again.truth = Truth(config, 4)
-    for tick in range(30):
-        said = again._ask()[0]
-        np.testing.assert_array_equal(said.reshape(8, -1), memory.labels[tick])
-        np.testing.assert_array_equal(again._seen.reshape(8, -1), memory.seen[tick])
-        again._step(said)

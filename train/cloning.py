@@ -16,9 +16,8 @@ from torch import Tensor, nn
 from baselines.expert import Expert
 from baselines.files import Card, Network
 from baselines.policy import Policy
-from formation_env import FormationConfig, configure
-from formation_env.sensors import Noise
-from formation_env.simulation import Simulation, Snapshot, seeded_key
+from formation_env import FormationConfig
+from formation_env.simulation import Simulation, seeded_key
 from formation_env.task import Layout
 from train.evaluation import TRAINING_SEEDS
 from train.scales import CLIP, fixed_scales
@@ -176,30 +175,6 @@ class Clone(nn.Module):
 
 
 @final
-class Truth:
-    """What followers would see if their measurements had no noise.
-
-    Raises `ValueError` for a task whose measurements have none, or are late.
-    """
-
-    def __init__(self, config: FormationConfig, worlds: int) -> None:
-        self._exact = Simulation(configure(config, noise=Noise(0.0, 0.0, 0.0, 0.0, 0.0)), worlds)
-        self._own = self._exact.get_state().state
-        if not any(config.noise):
-            raise ValueError(f"--privileged: measurements have no noise on {config.scenario}")
-        if self._own["samples"].size > 0:
-            raise ValueError(f"--privileged: measurements are late on {config.scenario}")
-
-    def observe(self, simulation: Simulation) -> Rows:
-        """Of the worlds of a simulation with noise, its observations without. Changes nothing there."""
-        state = simulation.get_state().state
-        # Only what is measured is kept otherwise where measurements are exact.
-        taken = {k: state[k] if state[k].shape == x.shape else x for k, x in self._own.items()}
-        self._exact.set_state(Snapshot(self._exact.config, taken))
-        return self._exact.look().observations
-
-
-@final
 class Flight:
     """Worlds that fly on and on while a teacher says what it would do; ended ones begin again.
 
@@ -211,7 +186,6 @@ class Flight:
     the clipped correction: better a policy of this kind cannot be.
     """
 
-    truth: Truth | None = None  # what the teacher sees, if not what the worlds show
     explore = 0.0  # standard deviation of white noise on everything that is executed, labels' unit
 
     def __init__(
@@ -276,8 +250,7 @@ class Flight:
 
     def _ask(self) -> tuple[Rows, Rows | None]:
         """What is to be learned at these observations, and the action underneath if there is one."""
-        seen = self._seen if self.truth is None else self.truth.observe(self.simulation)
-        wanted = self.teacher.act(seen)
+        wanted = self.teacher.act(self._seen)
         if self._expert is None:
             return wanted, None
         below = self._expert.act(self._seen)

@@ -15,7 +15,7 @@ import torch
 import formation_env
 from baselines import files, make_policy
 from train.checkpoint import prepare_folder, write
-from train.cloning import Clone, Flight, Memory, Truth
+from train.cloning import Clone, Flight, Memory
 from train.evaluation import Judge, Row, line, to_csv
 from train.imitate import Options
 
@@ -37,7 +37,6 @@ class Course:
     def __init__(self, options: Options) -> None:
         config = options.check()
         teacher = make_policy(options.teacher, config)
-        truth = Truth(config, options.worlds) if options.privileged else None
         self.options, self.config = options, config
         _prepare(options)
         torch.set_num_threads(options.threads)
@@ -47,7 +46,6 @@ class Course:
             config, teacher, options.worlds, options.seed, options.threads, options.residual
         )
         self.flight.explore = options.explore
-        self.flight.truth = truth
         rows = options.worlds * config.followers
         self.memory = Memory(
             options.buffer, rows, config.layout.size, config.action_size, options.history

@@ -40,10 +40,6 @@ class Options:
     """Who flies: the teacher, or the clone more and more."""
     teacher: str = "expert"
     """Who is cloned: a policy's name, or a policy file."""
-    privileged: bool = False
-    """The teacher, but not the clone, sees measurements without noise: the clone then learns what the
-    teacher would do on average where the clone cannot tell, which is better than what a teacher misled
-    by noise does."""
     seed: int = 0
     """Of everything that is drawn."""
     history: int = 1
