@@ -304,3 +304,20 @@ def test_exploration_is_white_and_what_is_learned_is_not_disturbed() -> None:
     noise = (executed - memory.labels[:-1]).astype(np.float64)
     assert noise.std() == pytest.approx(0.1, rel=0.03)
     assert abs((noise[1:] * noise[:-1]).mean()) < 0.03 * 0.01
+
+
+@pytest.mark.parametrize("most", [1.0, 7.0])
+def test_inputs_are_magnified_no_more_than_asked_for(most: float) -> None:
+    """What varies by a thousandth, by as much as is allowed; what varies much, to a variance of one."""
+    config = configure("nominal")
+    clone = Clone(config, 2, (4,), "tanh", most)
+    rng = np.random.default_rng(0)
+    scale = clone.scale[: config.layout.size].numpy()
+    spread = np.full(config.layout.size, 1e-3)
+    spread[config.layout.slices["slot_error"]] = 4.0
+    seen = rng.normal(0.0, spread * scale, (5000, config.layout.size)).astype(np.float32)
+    clone.fit_to(seen, np.ones((5000, 4), dtype=np.float32), config.layout)
+    for gain in clone.gain.numpy().reshape(2, -1):
+        assert gain[config.layout.slices["leader_velocity"]] == pytest.approx(most)
+        assert gain[config.layout.slices["slot_error"]] == pytest.approx(0.25, rel=0.05)
+        assert (gain[config.layout.slices["position"]] == 0.0).all()

@@ -305,7 +305,7 @@ def numbers(run: Run) -> dict[str, Any]:
         {"scenario": "paper", "action": "wrench", "residual": 0.2},
         {"normalise": "running", "start_offset": 0.1, "scenario_duration": 0.2},
         {"activation": "relu", "std": 0.1, "critic_steps": 128, "action": "rates"},
-        {"actor_rate": 0.1, "critic_steps": 128},
+        {"actor_rate": 0.1, "critic_steps": 128, "kl": 1e-3},
     ],
     ids=["plain", "history-central", "residual", "running", "relu", "slow-actor"],
 )
@@ -394,6 +394,19 @@ def test_the_actor_may_learn_slower_than_the_critic(tmp_path: Path) -> None:
         run.train(stop=lambda run=run: run.model.num_timesteps > 0)  # type: ignore[misc]
         moved = [(w - b).abs().max().item() for w, b in zip(weights, before, strict=True)]
         assert moved == pytest.approx([1e-3, part * 1e-3], rel=0.05)
+
+
+def test_the_actors_rate_follows_how_far_updates_go(tmp_path: Path) -> None:
+    """Too far by far at first, so that it falls by the same factor again and again."""
+    run = prepare(small(tmp_path, kl=1e-6, learning_rate=0.1, critic_steps=128))
+    assert run.model.actor_rate == 1.0
+    run.train()
+    assert run.model.actor_rate == pytest.approx(1.5**-3)
+    group = run.policy.optimizer.param_groups
+    assert group[0]["lr"] == pytest.approx(group[1]["lr"] * 1.5**-2)
+    slow = prepare(small(tmp_path / "slow", kl=0.5, actor_rate=1e-4))
+    slow.train()
+    assert slow.model.actor_rate == pytest.approx(1.5**4 * 1e-4)
 
 
 def test_a_correction_of_a_file_goes_by_that_files_name(tmp_path: Path) -> None:

@@ -27,8 +27,6 @@ Rows = NDArray[np.float32]
 # Entries that a teacher who keeps to its slot does not go by: where in the world it flies, and in which
 # direction, would let a clone learn the leader's trajectory by heart.
 UNSEEN = ("position", "heading")
-# A normalised entry that hardly varies is magnified at most so much.
-_LEAST = 0.02
 # An action's entry whose labels are nearly constant counts as this part of the largest, so that the
 # clone does not spend itself on rounding errors.
 _QUIET = 1e-3
@@ -99,9 +97,15 @@ class Clone(nn.Module):
     size: Tensor
 
     def __init__(
-        self, config: FormationConfig, history: int, hidden: tuple[int, ...], activation: str
+        self,
+        config: FormationConfig,
+        history: int,
+        hidden: tuple[int, ...],
+        activation: str,
+        magnify: float = 50.0,
     ) -> None:
         super().__init__()
+        self._magnify = magnify
         mean, scale = fixed_scales(config.layout)
         self.register_buffer("mean", torch.from_numpy(np.tile(mean, history)))
         self.register_buffer("scale", torch.from_numpy(np.tile(scale, history)))
@@ -117,7 +121,7 @@ class Clone(nn.Module):
         """Take the standardisation from observations `(N, entries)` and their labels."""
         entries = self._entries
         x = (seen - self.mean[:entries].numpy()) / self.scale[:entries].numpy()
-        gain = 1.0 / np.maximum(x.std(axis=0), _LEAST)
+        gain = 1.0 / np.maximum(x.std(axis=0), 1.0 / self._magnify)
         for name in UNSEEN:
             gain[layout.slices[name]] = 0.0
         gain[layout.first_neighbour :] = 0.0

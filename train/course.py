@@ -51,7 +51,9 @@ class Course:
             options.buffer, rows, config.layout.size, config.action_size, options.history
         )
         self._learned = rows - options.worlds // _HELD_OUT * config.followers  # not held out
-        self.clone = Clone(config, options.history, options.hidden, options.activation)
+        self.clone = Clone(
+            config, options.history, options.hidden, options.activation, options.magnify
+        )
         self._optimiser = torch.optim.Adam(self.clone.parameters(), lr=options.learning_rate)
         total = options.rounds * options.updates
         self._schedule = torch.optim.lr_scheduler.LambdaLR(

@@ -70,6 +70,9 @@ class Options:
     """Of white noise on executed actions, all the time, in the unit of PPO's `--std`: a clone that has
     always flown smoothly takes the last action's least change for a sign, and PPO's exploration throws
     it off; one that PPO is to go on from should know it."""
+    magnify: float = 50.0
+    """At most so many times is an input magnified that hardly varies. A clone that PPO is to go on from
+    is better without (1): what is large by itself is thrown about by small steps of the weights."""
     batch: int = 2048
     """Samples in a step of the optimiser."""
     learning_rate: float = 3e-3
@@ -133,6 +136,7 @@ _REAL = {
     "stray": (1.0, 1e9),
     "noise": (0.0, 1e3),
     "explore": (0.0, 1.0),
+    "magnify": (1.0, 1e6),
     "learning_rate": (1e-12, 1.0),
     "huber": (1e-6, 1e6),
 }

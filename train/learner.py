@@ -28,6 +28,7 @@ from train.options import FINE, STD, Options, command, continued, to_json
 from train.scales import CLIP, fixed_scales, state_scales
 from train.vec import FollowerVecEnv
 
+_STEER = 1.5  # by which the actor's rate is changed after an update
 RESIDUAL_STD = 0.3  # of the exploration, as part of the bound
 
 
@@ -38,8 +39,17 @@ class Learner(PPO):
     seconds = 0.0  # in updates
     alone_until = 0  # agent steps
     actor_rate = 1.0  # part of the learning rate
+    kl: float | None = None  # to be kept by that part
 
     policy: FollowerPolicy
+
+    def _steer(self, kl: float) -> None:
+        """Slower if an update went twice as far as it should, faster if not half as far."""
+        assert self.kl is not None
+        if kl > 2.0 * self.kl:
+            self.actor_rate /= _STEER
+        elif kl < 0.5 * self.kl:
+            self.actor_rate = min(self.actor_rate * _STEER, 1.0)
 
     def part(self, actor_rate: float) -> None:
         """Let the actor take so much of the learning rate. Before anything is learned."""
@@ -53,8 +63,9 @@ class Learner(PPO):
 
     def _update_learning_rate(self, optimizers: Any) -> None:
         super()._update_learning_rate(optimizers)
-        if self.actor_rate != 1.0:
-            self.policy.optimizer.param_groups[0]["lr"] *= self.actor_rate
+        actor, *critic = self.policy.optimizer.param_groups
+        if critic:
+            actor["lr"] *= self.actor_rate
 
     def train(self) -> None:
         """One update."""
@@ -63,6 +74,8 @@ class Learner(PPO):
         for parameter in self.policy.actor_parameters():
             parameter.requires_grad_(not alone)
         super().train()
+        if self.kl is not None and not alone:
+            self._steer(self.logger.name_to_value["train/approx_kl"])
         self.seconds += perf_counter() - begun
 
 
@@ -133,6 +146,7 @@ class Run:
                 "method": self._method,
                 "steps": int(self.model.num_timesteps),
                 "updates": int(self.model._n_updates),
+                "actor_rate": self.model.actor_rate,
                 "random": facts,
                 "rows": [list(row) for row in diary.rows],
                 "minutes": diary.minutes,
@@ -152,6 +166,7 @@ class Run:
         self.model._last_obs = part["last"]["obs"]
         self.model._last_episode_starts = part["last"]["starts"]
         self.model.num_timesteps, self.model._n_updates = facts["steps"], facts["updates"]
+        self.model.actor_rate = facts["actor_rate"]
         rows = [Row(*row) for row in facts["rows"]]
         self.diary = Diary(rows, facts["minutes"], facts["next_evaluation"])
         checkpoint.restore_random(facts["random"], part["random"])
@@ -355,7 +370,8 @@ def _model(options: Options, env: FollowerVecEnv, source: tuple[Card, Network] |
             },
         )
     model.alone_until = options.critic_steps
-    if options.actor_rate != 1.0:
+    model.kl = options.kl
+    if options.actor_rate != 1.0 or options.kl is not None:
         model.part(options.actor_rate)
     model.set_logger(configure_logger(str(Path(options.output) / "tensorboard"), ["tensorboard"]))
     policy = model.policy
