@@ -80,8 +80,6 @@ def stacked(history: int, seed: int, minutes: float, episodes: int) -> Figure:
 
     with tempfile.TemporaryDirectory() as folder:
         run = prepare(options(Path(folder), seed, history, episodes))
-        # The critic's and the actor's weights before the first update score about as hover does, and
-        # are evaluated before the clock starts.
         clock = _Clock(minutes)
         run.train(stop=clock.late)
         used = clock.minutes
