@@ -19,7 +19,16 @@ POLICIES: dict[str, type[Policy]] = {
     policy.name: policy for policy in (Expert, ExpertTuned, Pd, Hover, Random)
 }
 # Ways of learning. What they made is shipped in files, one for a scenario and action level.
-METHODS = ("ppo", "bc", "dagger", "bc-ppo", "dagger-ppo", "residual")
+METHODS = (
+    "ppo",
+    "bc",
+    "dagger",
+    "bc-ppo",
+    "dagger-ppo",
+    "residual",
+    "residual-dagger",
+    "residual-dagger-ppo",
+)
 SHIPPED = Path(__file__).parent / "policies"
 # A scenario without a file of its own is flown by the one of this scenario, which has not seen it.
 USUAL = "nominal"

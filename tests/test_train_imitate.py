@@ -115,6 +115,71 @@ def test_a_history_ends_where_the_episode_began_and_survives_the_ring() -> None:
     assert (np.diff(inputs, axis=1) >= 0.0).all()
 
 
+def test_the_teacher_flies_as_itself_above_an_expert_if_the_bound_allows() -> None:
+    """Labels are what the expert, asked in parallel, lacks; together they fly the teacher's episodes."""
+    config = configure("paper", duration=0.5, start="formation")
+    bound = 1.0
+    memories = [memory_of(config, 4, 60), memory_of(config, 4, 60)]
+    for memory, residual in zip(memories, (0.0, bound), strict=True):
+        flight = Flight(config, make_policy("expert-tuned", config), 4, seed=5, residual=residual)
+        flight.fly(60, memory)
+    plain, above = memories
+    np.testing.assert_allclose(above.seen, plain.seen, atol=1e-4)
+    assert ((above._age == 0).sum(axis=0) > 1).all()  # several episodes
+    largest = 0.0
+    for world in range(4):
+        expert, own = make_policy("expert", config), slice(2 * world, 2 * world + 2)
+        for tick in range(60):
+            if above._age[tick, 2 * world] == 0:
+                expert.reset()
+            lacks = plain.labels[tick, own] - expert.act(above.seen[tick, own])
+            np.testing.assert_allclose(bound * above.labels[tick, own], lacks, atol=1e-4)
+            largest = max(largest, float(np.abs(lacks).max()))
+    assert largest > 0.05
+
+
+def test_a_correction_flies_from_its_file_as_it_learned_to_fly() -> None:
+    """Bounded so tightly that it must be clipped."""
+    config, bound = configure("paper", duration=0.5, start="formation"), 0.02
+    torch.manual_seed(0)
+    clone = Clone(config, 1, (8,), "tanh")
+    flight = Flight(config, make_policy("expert-tuned", config), 8, seed=2, residual=bound)
+    first = memory_of(config, 8, 30)
+    flight.fly(30, first)
+    assert (np.abs(first.labels) == 1.0).any()
+    clone.fit_to(*first.everything(), config.layout)
+    clone.size.fill_(2.0)
+    flight = Flight(config, make_policy("expert-tuned", config), 8, seed=2, residual=bound)
+    memory = memory_of(config, 8, 60)
+    flight.fly(60, memory, clone, share=0.0)
+    card = clone.card(config, "residual-dagger", residual=bound)
+    policy, simulation = Learned(config, (card, clone.network())), Simulation(config, 8)
+    rng = np.random.default_rng(2)
+    left = rng.integers(1, config.max_steps + 1, 8)
+    for world in range(8):
+        simulation.seed(world, seeded_key(TRAINING_SEEDS + 8 * 2 + world))
+    seen = simulation.reset().observations
+    for tick in range(60):
+        np.testing.assert_allclose(memory.seen[tick].reshape(seen.shape), seen, atol=1e-4)
+        results = simulation.step(policy.act(seen))
+        seen, left = results.observations, left - 1
+        done = results.terminated | results.truncated | (left == 0)
+        if done.any():
+            seen = simulation.reset(done).observations
+            policy.restart(done)
+
+
+def test_a_corrected_expert_is_better_than_the_expert(tmp_path: Path) -> None:
+    words = ["--worlds", "32", "--rounds", "6", "--ticks", "100", "--updates", "100", "--quiet",
+             "--scenario", "paper", "--action", "rates", "--teacher", "expert-tuned",
+             "--residual", "0.8", "--batch", "512", "--evaluate-every", "1",
+             "--episodes", "4"]  # fmt: skip
+    assert main(["--output", str(tmp_path), *words]) == 0
+    card, _ = files.load(tmp_path / "best.safetensors")
+    assert (card.method, card.residual) == ("residual-dagger", 0.8)
+    assert card.score["paper"][1] > 1.1
+
+
 @pytest.mark.parametrize(("activation", "history"), [("tanh", 1), ("relu", 3)])
 def test_the_policy_file_says_what_the_clone_says(
     activation: str, history: int, tmp_path: Path
@@ -159,6 +224,8 @@ def test_a_seed_decides_everything(method: str, tmp_path: Path) -> None:
         (["--buffer", "20"], "--buffer 20"),
         (["--hidden", "0"], "--hidden"),
         (["--action", "thoughts"], "action"),
+        (["--residual", "1.5", "--teacher", "expert-tuned"], "--residual 1.5"),
+        (["--residual", "0.5"], "--teacher expert"),
     ],
 )
 def test_impossible_options_end_before_anything_is_written(
@@ -223,3 +290,34 @@ def test_whatever_ends_it_the_best_so_far_stays(
     assert len((tmp_path / "log.csv").read_text().splitlines()) == 2
     assert sorted(p.name for p in tmp_path.iterdir()) == ["best.safetensors", "log.csv"]
     assert "Traceback" not in capsys.readouterr().err
+
+
+def test_exploration_is_white_and_what_is_learned_is_not_disturbed() -> None:
+    """Labels are the teacher's; what was executed, as the next observation shows, is noisy."""
+    config = configure("nominal", action="reference")
+    flight = Flight(config, make_policy("expert", config), 32, seed=1)
+    flight.explore = 0.1
+    flight._left[:] = -1
+    memory = memory_of(config, 32, 50)
+    flight.fly(50, memory)
+    executed = memory.seen[1:, :, config.layout.slices["previous_action"]][..., :3]
+    noise = (executed - memory.labels[:-1]).astype(np.float64)
+    assert noise.std() == pytest.approx(0.1, rel=0.03)
+    assert abs((noise[1:] * noise[:-1]).mean()) < 0.03 * 0.01
+
+
+@pytest.mark.parametrize("most", [1.0, 7.0])
+def test_inputs_are_magnified_no_more_than_asked_for(most: float) -> None:
+    """What varies by a thousandth, by as much as is allowed; what varies much, to a variance of one."""
+    config = configure("nominal")
+    clone = Clone(config, 2, (4,), "tanh", most)
+    rng = np.random.default_rng(0)
+    scale = clone.scale[: config.layout.size].numpy()
+    spread = np.full(config.layout.size, 1e-3)
+    spread[config.layout.slices["slot_error"]] = 4.0
+    seen = rng.normal(0.0, spread * scale, (5000, config.layout.size)).astype(np.float32)
+    clone.fit_to(seen, np.ones((5000, 4), dtype=np.float32), config.layout)
+    for gain in clone.gain.numpy().reshape(2, -1):
+        assert gain[config.layout.slices["leader_velocity"]] == pytest.approx(most)
+        assert gain[config.layout.slices["slot_error"]] == pytest.approx(0.25, rel=0.05)
+        assert (gain[config.layout.slices["position"]] == 0.0).all()

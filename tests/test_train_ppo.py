@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ with warnings.catch_warnings():
 
 from baselines.expert import Expert
 from baselines.files import load
+from baselines.files import save as save_policy
 from baselines.learned import Learned
 from formation_env import configure, formation_v0
 from formation_env.memory import REWARD
@@ -303,8 +305,9 @@ def numbers(run: Run) -> dict[str, Any]:
         {"scenario": "paper", "action": "wrench", "residual": 0.2},
         {"normalise": "running", "start_offset": 0.1, "scenario_duration": 0.2},
         {"activation": "relu", "std": 0.1, "critic_steps": 128, "action": "rates"},
+        {"actor_rate": 0.1, "critic_steps": 128, "kl": 1e-3},
     ],
-    ids=["plain", "history-central", "residual", "running", "relu"],
+    ids=["plain", "history-central", "residual", "running", "relu", "slow-actor"],
 )
 def test_a_resumed_run_is_an_uninterrupted_one(tmp_path: Path, options: dict[str, Any]) -> None:
     """To the last bit: weights, moments, worlds, generators."""
@@ -378,6 +381,44 @@ def test_a_run_starts_from_a_file(tmp_path: Path) -> None:
     run = prepare(Options(tmp_path / "two", resume=True, quiet=True))
     run.train()
     assert not np.allclose(net.weights[0], run.made()[1].weights[0], rtol=1e-6)
+
+
+def test_the_actor_may_learn_slower_than_the_critic(tmp_path: Path) -> None:
+    """Adam's first step moves everything by the learning rate, and the actor by its part of it."""
+    for part in (1.0, 0.1):
+        once = {"steps": 10**6, "epochs": 1, "batch": 128, "actor_rate": part}
+        run = prepare(small(tmp_path / str(part), **once))
+        towers = run.policy.mlp_extractor
+        weights = (towers.value_net[0].weight, towers.policy_net[0].weight)
+        before = [w.detach().clone() for w in weights]
+        run.train(stop=lambda run=run: run.model.num_timesteps > 0)  # type: ignore[misc]
+        moved = [(w - b).abs().max().item() for w, b in zip(weights, before, strict=True)]
+        assert moved == pytest.approx([1e-3, part * 1e-3], rel=0.05)
+
+
+def test_the_actors_rate_follows_how_far_updates_go(tmp_path: Path) -> None:
+    """Too far by far at first, so that it falls by the same factor again and again."""
+    run = prepare(small(tmp_path, kl=1e-6, learning_rate=0.1, critic_steps=128))
+    assert run.model.actor_rate == 1.0
+    run.train()
+    assert run.model.actor_rate == pytest.approx(1.5**-3)
+    group = run.policy.optimizer.param_groups
+    assert group[0]["lr"] == pytest.approx(group[1]["lr"] * 1.5**-2)
+    slow = prepare(small(tmp_path / "slow", kl=0.5, actor_rate=1e-4))
+    slow.train()
+    assert slow.model.actor_rate == pytest.approx(1.5**4 * 1e-4)
+
+
+def test_a_correction_of_a_file_goes_by_that_files_name(tmp_path: Path) -> None:
+    """And keeps its bound; one from nothing, and one of that, are plain corrections."""
+    prepare(small(tmp_path / "one", residual=0.3)).train()
+    source = tmp_path / "one" / "last.safetensors"
+    assert load(source)[0].method == "residual"
+    assert prepare(small(tmp_path / "two", init=source)).made()[0].method == "residual"
+    card, net = load(source)
+    save_policy(source, replace(card, method="residual-dagger"), net)
+    made, _ = prepare(small(tmp_path / "three", init=source)).made()
+    assert (made.method, made.residual) == ("residual-dagger-ppo", 0.3)
 
 
 def test_the_actor_does_not_see_the_state_and_the_critic_does(tmp_path: Path) -> None:
@@ -467,12 +508,13 @@ def test_a_time_limit_ends_a_run(tmp_path: Path) -> None:
     assert load(tmp_path / "last.safetensors")[0].minutes >= 0.02
 
 
-@pytest.mark.filterwarnings("ignore:rich is experimental")
 def test_the_command_says_what_it_reached(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert ppo.main([w for w in words(small(tmp_path)) if w != "--quiet"]) == 0
-    assert "after 512 agent steps" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert "after 512 agent steps" in said.out
+    assert "Warning" not in said.err
 
 
 def test_the_profile_adds_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from baselines.expert import Expert
 from baselines.files import Card, Network
 from baselines.policy import Policy
 from formation_env import FormationConfig
@@ -26,8 +27,6 @@ Rows = NDArray[np.float32]
 # Entries that a teacher who keeps to its slot does not go by: where in the world it flies, and in which
 # direction, would let a clone learn the leader's trajectory by heart.
 UNSEEN = ("position", "heading")
-# A normalised entry that hardly varies is magnified at most so much.
-_LEAST = 0.02
 # An action's entry whose labels are nearly constant counts as this part of the largest, so that the
 # clone does not spend itself on rounding errors.
 _QUIET = 1e-3
@@ -98,9 +97,15 @@ class Clone(nn.Module):
     size: Tensor
 
     def __init__(
-        self, config: FormationConfig, history: int, hidden: tuple[int, ...], activation: str
+        self,
+        config: FormationConfig,
+        history: int,
+        hidden: tuple[int, ...],
+        activation: str,
+        magnify: float = 50.0,
     ) -> None:
         super().__init__()
+        self._magnify = magnify
         mean, scale = fixed_scales(config.layout)
         self.register_buffer("mean", torch.from_numpy(np.tile(mean, history)))
         self.register_buffer("scale", torch.from_numpy(np.tile(scale, history)))
@@ -116,7 +121,7 @@ class Clone(nn.Module):
         """Take the standardisation from observations `(N, entries)` and their labels."""
         entries = self._entries
         x = (seen - self.mean[:entries].numpy()) / self.scale[:entries].numpy()
-        gain = 1.0 / np.maximum(x.std(axis=0), _LEAST)
+        gain = 1.0 / np.maximum(x.std(axis=0), 1.0 / self._magnify)
         for name in UNSEEN:
             gain[layout.slices[name]] = 0.0
         gain[layout.first_neighbour :] = 0.0
@@ -179,17 +184,33 @@ class Flight:
 
     The teacher sees what the worlds show, whoever flies them, so that what it remembers fits. First
     episodes end early, at random ages, so that the worlds are not all in the same phase ever after.
+
+    With `residual` > 0 the expert flies underneath, and what is learned is the correction that makes its
+    action the teacher's, in units of `residual` and clipped to [-1, 1]. The teacher too then flies with
+    the clipped correction: better a policy of this kind cannot be.
     """
 
+    explore = 0.0  # standard deviation of white noise on everything that is executed, labels' unit
+
     def __init__(
-        self, config: FormationConfig, teacher: Policy, worlds: int, seed: int, threads: int = 1
+        self,
+        config: FormationConfig,
+        teacher: Policy,
+        worlds: int,
+        seed: int,
+        threads: int = 1,
+        residual: float = 0.0,
     ) -> None:
         self.config, self.teacher, self.worlds = config, teacher, worlds
+        self._residual = np.float32(residual)
+        self._expert = Expert(config) if residual > 0.0 else None
         self.rng = np.random.default_rng(seed)
         self.simulation = Simulation(config, worlds, threads)
         for world in range(worlds):
             self.simulation.seed(world, seeded_key(TRAINING_SEEDS + worlds * seed + world))
         teacher.reset(seed=seed, worlds=worlds)
+        if self._expert is not None:
+            self._expert.reset(worlds=worlds)
         self._seen = self.simulation.reset().observations
         self._age = np.zeros(worlds, dtype=np.int64)
         self._left = self.rng.integers(1, config.max_steps + 1, worlds)  # ticks to an early end
@@ -209,16 +230,16 @@ class Flight:
         The teacher flies about `share` of the worlds, the clone, if there is one, the others, drawn
         anew each time. Where the teacher wants more than `stray` times the labels' size, the clone has
         lost it, and the world begins again. `noise` `(action_size,)` is the standard deviation of what
-        is added to executed actions.
+        is added to what they do, in the labels' unit.
         """
         taught = self.rng.random(self.worlds) < share
         n = self.config.followers
         everyone = np.arange(self.worlds * n)
         for _ in range(ticks):
             memory.add(self._seen.reshape(self.worlds * n, -1), np.repeat(self._age, n))
-            labels = self.teacher.act(self._seen)
+            labels, below = self._ask()
             memory.label(labels.reshape(self.worlds * n, -1))
-            actions = labels
+            actions: NDArray[Any] = labels
             if clone is not None and not taught.all():
                 now = np.full(len(everyone), memory.count - 1)
                 own = clone.act(memory.inputs(now, everyone)).reshape(labels.shape)
@@ -226,8 +247,25 @@ class Flight:
                 far = np.abs(labels) > stray * clone.size.numpy()
                 self._left[far.any(axis=(1, 2))] = 1
             if noise is not None:
-                actions = np.clip(actions + self._disturbance(noise), -1.0, 1.0)
-            self._step(actions.astype(np.float32))
+                actions = actions + self._disturbance(noise)
+            if self.explore > 0.0:
+                actions = actions + self.explore * self.rng.standard_normal(actions.shape)
+            self._step(self._executed(actions.astype(np.float32), below))
+
+    def _ask(self) -> tuple[Rows, Rows | None]:
+        """What is to be learned at these observations, and the action underneath if there is one."""
+        wanted = self.teacher.act(self._seen)
+        if self._expert is None:
+            return wanted, None
+        below = self._expert.act(self._seen)
+        return np.clip((wanted - below) / self._residual, -1.0, 1.0), below
+
+    def _executed(self, actions: Rows, below: Rows | None) -> Rows:
+        """The action itself, or with the one underneath that it corrects; as `Learned` flies it."""
+        actions = np.clip(actions, -1.0, 1.0)
+        if below is None:
+            return actions
+        return np.asarray(np.clip(below + self._residual * actions, -1.0, 1.0))
 
     def _disturbance(self, deviation: NDArray[Any]) -> NDArray[np.float64]:
         """Coloured noise, with a memory of about ten ticks: white noise hardly moves a vehicle."""
@@ -246,3 +284,5 @@ class Flight:
             self._seen = self.simulation.reset(done).observations
             self._age[done], self._left[done] = 0, -1
             self.teacher.restart(done)
+            if self._expert is not None:
+                self._expert.restart(done)

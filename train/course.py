@@ -42,13 +42,18 @@ class Course:
         torch.set_num_threads(options.threads)
         torch.manual_seed(options.seed)
         self._rng = np.random.default_rng((options.seed, 1))
-        self.flight = Flight(config, teacher, options.worlds, options.seed, options.threads)
+        self.flight = Flight(
+            config, teacher, options.worlds, options.seed, options.threads, options.residual
+        )
+        self.flight.explore = options.explore
         rows = options.worlds * config.followers
         self.memory = Memory(
             options.buffer, rows, config.layout.size, config.action_size, options.history
         )
         self._learned = rows - options.worlds // _HELD_OUT * config.followers  # not held out
-        self.clone = Clone(config, options.history, options.hidden, options.activation)
+        self.clone = Clone(
+            config, options.history, options.hidden, options.activation, options.magnify
+        )
         self._optimiser = torch.optim.Adam(self.clone.parameters(), lr=options.learning_rate)
         total = options.rounds * options.updates
         self._schedule = torch.optim.lr_scheduler.LambdaLR(
@@ -130,7 +135,8 @@ class Course:
         minutes = (perf_counter() - self._begun) / 60.0
         card = self.clone.card(
             self.config,
-            o.method,
+            o.method if o.residual == 0.0 else f"residual-{o.method}",
+            residual=o.residual,
             command=o.command(),
             seed=o.seed,
             steps=self.samples,

@@ -3,6 +3,7 @@
 A teacher, by default the expert, says what it would do in many worlds at once, and a network learns to
 say the same. With `--method bc` (behaviour cloning) the teacher flies all the time; with `dagger` the
 clone flies more and more of the worlds, so that the teacher is asked about the clone's own mistakes.
+With `--residual` the expert flies underneath and the network learns what it lacks of another teacher.
 
 Into the output folder go `best.safetensors`, the best policy so far by the leaderboard's score on seeds
 that neither training nor leaderboard use, which `baselines.evaluate --policies` and `train.ppo --init`
@@ -43,6 +44,9 @@ class Options:
     """Of everything that is drawn."""
     history: int = 1
     """How many observations the clone sees, the present one included."""
+    residual: float = 0.0
+    """Learn a correction of at most this to the expert's action, who flies underneath, so that together
+    they do what the teacher does; 0 learns the action itself."""
 
     rounds: int = 40
     """Of flying and then learning."""
@@ -61,7 +65,14 @@ class Options:
     """A world in which the teacher wants more than so many times its usual action begins again: far from
     home there is nothing to learn for those who keep close."""
     noise: float = 0.0
-    """Of executed actions, in units of the size of the teacher's: shows recoveries (DART)."""
+    """Of executed actions, in units of the size of what is learned: shows recoveries (DART)."""
+    explore: float = 0.0
+    """Of white noise on executed actions, all the time, in the unit of PPO's `--std`: a clone that has
+    always flown smoothly takes the last action's least change for a sign, and PPO's exploration throws
+    it off; one that PPO is to go on from should know it."""
+    magnify: float = 50.0
+    """At most so many times is an input magnified that hardly varies. A clone that PPO is to go on from
+    is better without (1): what is large by itself is thrown about by small steps of the weights."""
     batch: int = 2048
     """Samples in a step of the optimiser."""
     learning_rate: float = 3e-3
@@ -87,6 +98,10 @@ class Options:
     def check(self) -> FormationConfig:
         """The task. Raises `ValueError` naming the option that is impossible."""
         check(self, _WHOLE, _REAL)
+        if self.residual > 0.0 and self.teacher == "expert":
+            refuse(
+                "teacher", self.teacher, "another with --residual, where the expert flies already"
+            )
         if self.buffer < self.ticks + self.history:
             refuse("buffer", self.buffer, "at least ticks and history together")
         return (
@@ -116,9 +131,12 @@ _WHOLE = {
     "threads": (1, 1024),
 }
 _REAL = {
+    "residual": (0.0, 1.0),
     "share": (0.0, 1.0),
     "stray": (1.0, 1e9),
     "noise": (0.0, 1e3),
+    "explore": (0.0, 1.0),
+    "magnify": (1.0, 1e6),
     "learning_rate": (1e-12, 1.0),
     "huber": (1e-6, 1e6),
 }

@@ -14,6 +14,7 @@ import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure as configure_logger
+from tqdm import TqdmExperimentalWarning
 
 import formation_env
 from baselines import files
@@ -27,17 +28,44 @@ from train.options import FINE, STD, Options, command, continued, to_json
 from train.scales import CLIP, fixed_scales, state_scales
 from train.vec import FollowerVecEnv
 
+_STEER = 1.5  # by which the actor's rate is changed after an update
 RESIDUAL_STD = 0.3  # of the exploration, as part of the bound
 
 
 @final
 class Learner(PPO):
-    """PPO that can let the critic learn alone at first, and that keeps time."""
+    """PPO that can let the critic learn alone at first or faster, and that keeps time."""
 
     seconds = 0.0  # in updates
     alone_until = 0  # agent steps
+    actor_rate = 1.0  # part of the learning rate
+    kl: float | None = None  # to be kept by that part
 
     policy: FollowerPolicy
+
+    def _steer(self, kl: float) -> None:
+        """Slower if an update went twice as far as it should, faster if not half as far."""
+        assert self.kl is not None
+        if kl > 2.0 * self.kl:
+            self.actor_rate /= _STEER
+        elif kl < 0.5 * self.kl:
+            self.actor_rate = min(self.actor_rate * _STEER, 1.0)
+
+    def part(self, actor_rate: float) -> None:
+        """Let the actor take so much of the learning rate. Before anything is learned."""
+        self.actor_rate = actor_rate
+        actor = self.policy.actor_parameters()
+        own = {id(p) for p in actor}
+        critic = [p for p in self.policy.parameters() if id(p) not in own]
+        groups = [{"params": actor}, {"params": critic}]
+        kind, settings = self.policy.optimizer_class, self.policy.optimizer_kwargs
+        self.policy.optimizer = kind(groups, lr=self.lr_schedule(1.0), **settings)  # type: ignore[call-arg]
+
+    def _update_learning_rate(self, optimizers: Any) -> None:
+        super()._update_learning_rate(optimizers)
+        actor, *critic = self.policy.optimizer.param_groups
+        if critic:
+            actor["lr"] *= self.actor_rate
 
     def train(self) -> None:
         """One update."""
@@ -46,6 +74,8 @@ class Learner(PPO):
         for parameter in self.policy.actor_parameters():
             parameter.requires_grad_(not alone)
         super().train()
+        if self.kl is not None and not alone:
+            self._steer(self.logger.name_to_value["train/approx_kl"])
         self.seconds += perf_counter() - begun
 
 
@@ -116,6 +146,7 @@ class Run:
                 "method": self._method,
                 "steps": int(self.model.num_timesteps),
                 "updates": int(self.model._n_updates),
+                "actor_rate": self.model.actor_rate,
                 "random": facts,
                 "rows": [list(row) for row in diary.rows],
                 "minutes": diary.minutes,
@@ -135,6 +166,7 @@ class Run:
         self.model._last_obs = part["last"]["obs"]
         self.model._last_episode_starts = part["last"]["starts"]
         self.model.num_timesteps, self.model._n_updates = facts["steps"], facts["updates"]
+        self.model.actor_rate = facts["actor_rate"]
         rows = [Row(*row) for row in facts["rows"]]
         self.diary = Diary(rows, facts["minutes"], facts["next_evaluation"])
         checkpoint.restore_random(facts["random"], part["random"])
@@ -155,12 +187,15 @@ class Run:
             stop,
         )
         begun = perf_counter()
-        self.model.learn(
-            max(0, o.steps - self.model.num_timesteps),
-            [_Measure(self)] * (o.normalise == "running") + [self._keeper],
-            reset_num_timesteps=False,
-            progress_bar=not o.quiet,
-        )
+        with warnings.catch_warnings():
+            # Of the progress bar, which is a rich one.
+            warnings.simplefilter("ignore", TqdmExperimentalWarning)
+            self.model.learn(
+                max(0, o.steps - self.model.num_timesteps),
+                [_Measure(self)] * (o.normalise == "running") + [self._keeper],
+                reset_num_timesteps=False,
+                progress_bar=not o.quiet,
+            )
         self._total = perf_counter() - begun
 
     def profile(self) -> str:
@@ -273,11 +308,10 @@ def _fitted(options: Options, card: Card, net: Network) -> Options:
 
 def _method(options: Options, source: tuple[Card, Network] | None) -> str:
     """What the policy's card calls the way it was trained."""
-    if options.residual > 0.0:
-        return "residual"
-    if source is None or source[0].method.endswith("ppo"):
-        return "ppo" if source is None else source[0].method
-    return f"{source[0].method}-ppo"
+    if source is None:
+        return "ppo" if options.residual == 0.0 else "residual"
+    own = source[0].method
+    return own if own == "residual" or own.endswith("ppo") else f"{own}-ppo"
 
 
 def _environment(options: Options) -> FollowerVecEnv:
@@ -336,6 +370,9 @@ def _model(options: Options, env: FollowerVecEnv, source: tuple[Card, Network] |
             },
         )
     model.alone_until = options.critic_steps
+    model.kl = options.kl
+    if options.actor_rate != 1.0 or options.kl is not None:
+        model.part(options.actor_rate)
     model.set_logger(configure_logger(str(Path(options.output) / "tensorboard"), ["tensorboard"]))
     policy = model.policy
     if source is None:

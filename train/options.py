@@ -60,6 +60,13 @@ class Options:
     """Passes over a rollout."""
     learning_rate: float = 1e-3
     """At the start; it falls in a straight line to a tenth at the last step."""
+    actor_rate: float = 1.0
+    """Part of the learning rate that the actor takes: a critic that begins from nothing must learn fast
+    to tell an actor from a file, which is good already, what is better."""
+    kl: float | None = None
+    """Steer the actor's part of the learning rate, from actor_rate on, so that an update changes what it
+    does by about so much (mean Kullback-Leibler divergence). An actor from a file needs a rate of its
+    own, which depends on the exploration."""
     gamma: float = 0.98
     """Discount per tick. Rewards are scaled by 1 - gamma, so that values are of order one."""
     gae_lambda: float = 0.95
@@ -133,6 +140,8 @@ _REAL = {
     "minutes": (1e-9, 1e9),
     "residual": (0.0, 1.0),
     "learning_rate": (1e-12, 1.0),
+    "actor_rate": (0.0, 1.0),
+    "kl": (1e-9, 1.0),
     "gamma": (0.0, 0.999999),
     "gae_lambda": (0.0, 1.0),
     "clip_range": (1e-6, 1e6),

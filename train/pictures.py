@@ -23,8 +23,11 @@ _LOOKS = {
     "dagger": ("#009E73", "^"),
     "bc-ppo": ("#CC79A7", "D"),
     "residual": ("#D55E00", "v"),
+    "dagger-ppo": ("#56B4E9", "P"),
+    "residual-dagger": ("#8C6D1F", "X"),
+    "residual-dagger-ppo": ("#222222", "*"),
 }
-_OTHERS = (("#56B4E9", "P"), ("#8C6D1F", "X"), ("#222222", "*"))
+_OTHERS = (("#888888", "p"), ("#7A3E9D", "h"))
 _STYLE: Any = {
     "font.size": 9.0,
     "axes.spines.top": False,
@@ -40,7 +43,7 @@ _FLOOR = -0.25  # of the axis: worse than hover is not told apart
 _NEAR, _STRETCH = 0.9, 4.0
 _TICKS = (-0.25, 0.0, 0.25, 0.5, 0.75, 0.9)
 _FINE, _COARSE = (0.95, 1.0, 1.05, 1.1, 1.15, 1.2), (1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0)
-_VERSION = 1  # of the drawing
+_VERSION = 2  # of the drawing
 
 
 def digest(curves: Sequence[Curve]) -> str:
