@@ -139,6 +139,25 @@ MUTANTS = [
     Mutant("tracker", "-0.5 * (k1 * p11 + k2 * p12)", "-0.5 * (k1 * p11 - k2 * p12)"),
     Mutant("tracker", "_each(-0.5 * (k1 - p22))", "_each(-0.5 * (k1 + p22))"),
     Mutant("tracker", "V4_dot = -W - law.k3", "V4_dot = -W - law.k4"),
+    # The loops over lanes: who steps, clocks, the end, who is near, headings, virtual followers.
+    Mutant("lanes", "(anew == 1) & (over[lane] != 0)", "(anew == 1) | (over[lane] != 0)"),
+    Mutant("lanes", "pick(on & (started[lane] != 0), 1.0", "pick(on | (started[lane] != 0), 1.0"),
+    Mutant("lanes", "waiting += fresh", "waiting += on"),
+    Mutant("lanes", "clock[lane] += np.int64(moving", "clock[lane] += np.int64(active"),
+    Mutant("lanes", "np.uint64(tick[lane] + 1)", "np.uint64(tick[lane])"),
+    Mutant("lanes", "starts[lane] = clock[lane] * length", "starts[lane] = lane * length"),
+    Mutant("lanes", "ended = on & (", "ended = on | ("),
+    Mutant("lanes", "impacts[lane] > limit", "impacts[lane] < limit"),
+    Mutant("lanes", "tick[lane] >= last", "tick[lane] > last"),
+    Mutant("lanes", "np.int64(ended | late)", "np.int64(ended & late)"),
+    Mutant("lanes", "tally[lane] / followers", "tally[lane]"),
+    Mutant("lanes", "(r == held) & (number < holder)", "(r == held) & (number > holder)"),
+    Mutant("lanes", "return pick(on, held, r), pick", "return pick(on, r, r), pick"),
+    Mutant("lanes", "(x, ESTIMATE, lane, on, R)", "(x, HEADING, lane, on, R)"),
+    Mutant("lanes", "(own, 0, lane), load_vector(leader", "(own, 0, lane), load_vector(own"),
+    Mutant("lanes", "pick_vector(on, moved.p, guide.p)", "pick_vector(on, guide.p, moved.p)"),
+    Mutant("lanes", "guided((m * a[0], m * a[1]", "guided((a[0], m * a[1]"),
+    Mutant("lanes", "_follow(own, ref, command, lane, RATES", "_follow(own, ref, command, lane, MOMENT"),
 ]  # fmt: skip
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numba import config as numba
 
 from formation_env import kernels
 from formation_env._jit import kernel
@@ -114,6 +115,9 @@ def test_offsets_are_those_of_the_address(kind: type) -> None:
         assert (block.ctypes.data - _offset(block) * size) % 64 == 0
 
 
+@pytest.mark.skipif(
+    bool(numba.DISABLE_JIT), reason="Python streams nothing, and would take minutes"
+)
 @pytest.mark.parametrize(
     ("followers", "worlds", "threads"),
     [(2, 12_293, 1), (2, 12_293, 2), (9, 2_501, 1), (33, 701, 2)],
