@@ -283,6 +283,7 @@ class Simulation:
                 )
         for name, array in own.items():
             array[...] = snapshot.state[name]
+        self._begun = False
 
     def __getstate__(self) -> dict[str, Any]:
         # The state's arrays are views, which a copy would cut off from the memory they show.

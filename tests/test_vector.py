@@ -11,6 +11,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from episodes import arrays, same, wild
+from gymnasium.error import ResetNeeded
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.wrappers.vector import NormalizeObservation, RecordEpisodeStatistics
 from numba import config
@@ -227,6 +228,16 @@ def test_a_vector_of_worlds_continues_from_a_saved_state() -> None:
     for actions in wild(30, 3, 8, seed=3):
         agree(fresh.step(actions), envs.step(actions))
     agree(fresh.reset(), envs.reset())
+
+
+def test_worlds_that_have_not_begun_may_be_restored() -> None:
+    envs = FormationVectorEnv(3)
+    blank = envs.get_state()
+    envs.reset(seed=0)
+    envs.step(np.zeros((3, 8), np.float32))
+    envs.set_state(blank)
+    with pytest.raises(ResetNeeded):
+        envs.step(np.zeros((3, 8), np.float32))
 
 
 def test_another_memory_layout_is_not_compiled_for() -> None:
