@@ -96,7 +96,6 @@ def recurrent(seed: int, minutes: float, episodes: int) -> Figure:
     from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
-    from baselines.intervals import estimate, normalised
     from train.evaluation import TRAINING_SEEDS, Judge
     from train.options import STD
     from train.scales import CLIP, fixed_scales
@@ -160,8 +159,7 @@ def recurrent(seed: int, minutes: float, episodes: int) -> Figure:
     )
     model.learn(o.steps, callback=Stop())
     used = clock.minutes
-    columns = judge._fly(_pilot(env.config, model.policy))
-    score = estimate(normalised, columns["return"], judge._hover, judge._expert)
+    score, columns = judge.score(_pilot(env.config, model.policy))
     three = (float(score.value), float(score.low), float(score.high))
     return Figure("LSTM", seed, model.num_timesteps, used, three, float(columns["failed"].mean()))
 

@@ -98,6 +98,12 @@ def _reinterpret_compiled(block: Any, kind: Any) -> Any:
     return implementation
 
 
+def _vector_at(builder: Any, data: Any, offset: Any, number: Any, width: int) -> Any:
+    """A pointer to a vector of so many numbers, `offset` numbers behind `data`."""
+    vector = ir.VectorType(number, width).as_pointer()
+    return builder.bitcast(builder.gep(data, [offset]), vector)
+
+
 def _shuffled(builder: Any, rows: list[Any], width: int) -> list[Any]:
     """The transpose of a square of vectors: swap ever larger off-diagonal blocks."""
     kind = ir.VectorType(ir.IntType(32), width)
@@ -117,23 +123,21 @@ def _shuffled(builder: Any, rows: list[Any], width: int) -> list[Any]:
 @intrinsic  # type: ignore[untyped-decorator]
 def _turn_square(typing: Any, source: Any, at: Any, sink: Any, to: Any, stride: Any) -> Any:
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        number = signature.args[0].dtype
-        size = number.bitwidth // 8
-        width = _BYTES // size
-        vector = ir.VectorType(context.get_data_type(number), width).as_pointer()
+        size = signature.args[0].dtype.bitwidth // 8
+        width, number = _BYTES // size, context.get_data_type(signature.args[0].dtype)
         word = context.get_value_type(types.int64)
-
-        def pointer(k: int, offset: Any) -> Any:
-            data = arrayobj.make_array(signature.args[k])(context, builder, arguments[k]).data
-            return builder.bitcast(builder.gep(data, [offset]), vector)
-
+        tile, sunk = (
+            arrayobj.make_array(signature.args[k])(context, builder, arguments[k]).data
+            for k in (0, 2)
+        )
         rows = []
         for k in range(width):
             offset = builder.add(arguments[1], word(k * LANES))
-            rows.append(builder.load(pointer(0, offset), align=size))
+            place = _vector_at(builder, tile, offset, number, width)
+            rows.append(builder.load(place, align=size))
         for k, row in enumerate(_shuffled(builder, rows, width)):
             offset = builder.add(arguments[3], builder.mul(arguments[4], word(k)))
-            builder.store(row, pointer(2, offset), align=size)
+            builder.store(row, _vector_at(builder, sunk, offset, number, width), align=size)
         return context.get_dummy_value()
 
     return types.void(source, types.int64, sink, types.int64, types.int64), build
@@ -158,26 +162,23 @@ def _turn_square_compiled(source: Any, at: Any, sink: Any, to: Any, stride: Any)
 @intrinsic  # type: ignore[untyped-decorator]
 def _turn_lines(typing: Any, source: Any, starts: Any, first: Any, row: Any, sink: Any) -> Any:
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        number = signature.args[0].dtype
-        size = number.bitwidth // 8
-        width = _BYTES // size
-        vector = ir.VectorType(context.get_data_type(number), width).as_pointer()
+        size = signature.args[0].dtype.bitwidth // 8
+        width, number = _BYTES // size, context.get_data_type(signature.args[0].dtype)
         word = context.get_value_type(types.int64)
         lines, begins, sunk = (
             arrayobj.make_array(signature.args[k])(context, builder, arguments[k]).data
             for k in (0, 1, 4)
         )
 
-        def pointer(data: Any, offset: Any) -> Any:
-            return builder.bitcast(builder.gep(data, [offset]), vector)
-
         rows = []
         for k in range(width):
             begin = builder.load(builder.gep(begins, [builder.add(arguments[2], word(k))]))
-            rows.append(builder.load(pointer(lines, builder.add(begin, arguments[3])), align=size))
+            place = _vector_at(builder, lines, builder.add(begin, arguments[3]), number, width)
+            rows.append(builder.load(place, align=size))
         to = builder.add(builder.mul(arguments[3], word(LANES)), arguments[2])
         for k, line in enumerate(_shuffled(builder, rows, width)):
-            builder.store(line, pointer(sunk, builder.add(to, word(k * LANES))), align=size)
+            offset = builder.add(to, word(k * LANES))
+            builder.store(line, _vector_at(builder, sunk, offset, number, width), align=size)
         return context.get_dummy_value()
 
     return types.void(source, starts, types.int64, types.int64, sink), build
@@ -215,10 +216,6 @@ def _turn_fours(typing: Any, source: Any, at: Any, stride: Any, sink: Any) -> An
             for k in (0, 3)
         )
 
-        def pointer(data: Any, offset: Any, width: int) -> Any:
-            vector = ir.VectorType(number, width).as_pointer()
-            return builder.bitcast(builder.gep(data, [offset]), vector)
-
         def shuffled(a: Any, b: Any, picks: list[int]) -> Any:
             kind = ir.VectorType(ir.IntType(32), len(picks))
             return builder.shuffle_vector(a, b, ir.Constant(kind, picks))
@@ -226,7 +223,8 @@ def _turn_fours(typing: Any, source: Any, at: Any, stride: Any, sink: Any) -> An
         parts = []
         for lane in range(LANES):
             offset = builder.add(arguments[1], builder.mul(arguments[2], word(lane)))
-            parts.append(builder.load(pointer(given, offset, _FOUR), align=4))
+            place = _vector_at(builder, given, offset, number, _FOUR)
+            parts.append(builder.load(place, align=4))
         # Vector j of four: lanes j, j + 4, ... one behind the other.
         mixed = parts
         while len(mixed) > _FOUR:
@@ -248,7 +246,8 @@ def _turn_fours(typing: Any, source: Any, at: Any, stride: Any, sink: Any) -> An
             ]
             picks = [8 * b + 2 * q + i for q in range(_FOUR) for b in (0, 1) for i in (0, 1)]
             row = shuffled(pairs[0], pairs[1], picks)
-            builder.store(row, pointer(sunk, word(k * LANES), LANES), align=4)
+            place = _vector_at(builder, sunk, word(k * LANES), number, LANES)
+            builder.store(row, place, align=4)
         return context.get_dummy_value()
 
     return types.void(source, types.int64, types.int64, sink), build
@@ -335,14 +334,13 @@ def _stream_line(typing: Any, source: Any, at: Any, sink: Any, to: Any) -> Any:
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         number = context.get_data_type(signature.args[0].dtype)
         width = _BYTES // context.get_abi_sizeof(number)
-        vector = ir.VectorType(number, width).as_pointer()
         given, sunk = (
-            builder.bitcast(
-                builder.gep(
-                    arrayobj.make_array(signature.args[k])(context, builder, arguments[k]).data,
-                    [arguments[k + 1]],
-                ),
-                vector,
+            _vector_at(
+                builder,
+                arrayobj.make_array(signature.args[k])(context, builder, arguments[k]).data,
+                arguments[k + 1],
+                number,
+                width,
             )
             for k in (0, 2)
         )

@@ -28,7 +28,6 @@ from formation_env.memory import (
     episode_key,
     follower,
     load,
-    load_sample,
     put,
     put_sample,
     ring,
@@ -43,7 +42,7 @@ from formation_env.sensors import (
 )
 from formation_env.slots import slot
 from formation_env.so3 import Vector
-from formation_env.trajectories import Reference, draw, evaluate, start_direction
+from formation_env.trajectories import draw, evaluate, start_direction
 from formation_env.world import (
     REFERENCE,
     World,
@@ -111,13 +110,6 @@ def _start_of(state: State, w: int, R: complex, d: Vector, s: World) -> Any:
 
 
 @device
-def leader_start(begin: Reference, s: World) -> Measured:
-    """How the leader begins at the begin of its reference where it begins in flight."""
-    body = trimmed(begin, s)
-    return Measured(body.p, body.v, begin.a, body.q, body.w)
-
-
-@device
 def start_episode(
     state: State, c: Constants, w: int, room: Scratch, task: Task, s: Settings
 ) -> None:
@@ -131,20 +123,16 @@ def start_episode(
     table = table_row(state.tables, w)
     if len(c.drawing) > 0:
         draw(key, c.drawing, table)
-    if len(c.start) > 0:
-        leader, R = load_sample(c.start), complex(c.start[16], c.start[17])
-    else:
-        leader = leader_start(evaluate(task.trajectory_kind, table, 0.0), s.world)
-        R = start_direction(task.trajectory_kind, table)
+    begin = evaluate(task.trajectory_kind, table, 0.0)
+    R = start_direction(task.trajectory_kind, table)
     for k in range(3):
-        state.begins[w // LANES, k * LANES + w % LANES] = leader.p[k]
+        state.begins[w // LANES, k * LANES + w % LANES] = begin.p[k]
 
     still = (0.0, 0.0, 0.0)
     if s.world.on_ground:
         _place(state, w, 0, resting(load(c.starts[0], 0)), still, key, s.world)
     else:
-        body = Body(leader.p, leader.v, leader.q, leader.w)
-        _place(state, w, 0, body, leader.a, key, s.world)
+        _place(state, w, 0, trimmed(begin, s.world), begin.a, key, s.world)
     for i in range(len(c.offsets)):
         x = follower(state, w, i)
         x[HEADING], x[HEADING + 1] = R.real, R.imag

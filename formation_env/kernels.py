@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from formation_env._jit import announced, device, kernel
 from formation_env.blocks import LANES, carve, drain, fetch, gather, scatter, stream, turn_fours
 from formation_env.company import CROWD, know_crowd, know_few, see_neighbours, separate_crowd
-from formation_env.episodes import Task, leader_start, start_episode
+from formation_env.episodes import Task, start_episode
 from formation_env.lanes import (
     approach,
     clear,
@@ -40,7 +40,6 @@ from formation_env.lanes import (
     move_on,
     note_started,
     number_samples,
-    repeat,
     restore,
     see,
     see_guide,
@@ -75,7 +74,6 @@ from formation_env.memory import (
     open_scratch,
     open_state,
     put,
-    put_sample,
     size_numbers,
     table_row,
     unpack,
@@ -94,7 +92,7 @@ from formation_env.team import (
     report,
     settle,
 )
-from formation_env.trajectories import Reference, evaluate, start_direction
+from formation_env.trajectories import Reference, evaluate
 from formation_env.world import (
     RATE,
     REFERENCE,
@@ -213,9 +211,8 @@ def _lead(
     else:
         source = lines
         for lane in range(LANES):
-            w = t * LANES + min(
-                lane, here - 1
-            )  # that nothing divides by zero where there is no world
+            # The last world's where there is none, that nothing divides by zero.
+            w = t * LANES + min(lane, here - 1)
             starts[lane] = lane * REFERENCE_ROW
             line = carve(lines, starts[lane], (REFERENCE_ROW,))
             if state.counters[STARTED, w] != 0 and len(table) > 0:
@@ -532,12 +529,12 @@ def _bad_action(mode: int, actions: Any, state: State) -> int:
 @device
 def _posted_call(desk: int, sizes: Any) -> Call:
     """The call whose arrays another thread has put on the desk."""
-    worlds, n, entries = sizes[0], sizes[2] - 1, sizes[11]
+    worlds, n, entries = sizes[0], sizes[2] - 1, sizes[10]
     rows, mode = worlds * n, posted(desk, 0)
     last = rows if mode == STEP_AND_RESET else 0
     return Call(
         mode,
-        array_at(posted(desk, 1), (worlds, n, sizes[14]), np.float32),
+        array_at(posted(desk, 1), (worlds, n, sizes[13]), np.float32),
         array_at(posted(desk, 2), (worlds,), np.bool_),
         array_at(posted(desk, 3), (rows * entries,), np.float32),
         array_at(posted(desk, 4), (rows * len(OUTPUTS),), np.float64),
@@ -572,7 +569,7 @@ def _tick(
     """Step or reset those worlds of tile `t` that the call's mask names; look at the others."""
     mode, mask, n = call.mode, call.mask, len(c.offsets)
     told, last_seen, last_told = call.told, call.last_seen, call.last_told
-    one = n * call.entries
+    one, two = n * call.entries, n * len(OUTPUTS)
     end = min((t + 1) * LANES, task.worlds)
     here = end - t * LANES
     seen = work.seen[min(t, len(work.seen) - 1)]  # of one tile if measurements are late
@@ -616,8 +613,8 @@ def _tick(
         if mode == STEP_AND_RESET:
             for w in range(t * LANES, end):
                 if work.active[w % LANES] != 0.0 and state.counters[OVER, w] != 0:
-                    repeat(call.seen, last_seen, w * one, one)
-                    repeat(told, last_told, w * n * len(OUTPUTS), n * len(OUTPUTS))
+                    copy_on(carve(call.seen, w * one, (one,)), last_seen, w * one, one)
+                    copy_on(carve(told, w * two, (two,)), last_told, w * two, two)
                     again = True
                     waiting = 1
 
@@ -668,11 +665,11 @@ def advance(
         carve(ends, 0, ends.shape),
         carve(last_observations, 0, (last_observations.size,)),
         carve(last_outputs, 0, (last_outputs.size,)),
-        sizes[11],
+        sizes[10],
         results > _STREAMED,
     )
     work = open_scratch(room, state, sizes)
-    task = Task(sizes[0], sizes[12], sizes[13], sizes[14], sizes[15])
+    task = Task(sizes[0], sizes[11], sizes[12], sizes[13], sizes[14])
     s = unpack(c.settings)
     ticket, tiles = 0, sizes[1]
     if desk != 0 and member == 0:
@@ -716,22 +713,9 @@ def reference_path(kind: int, table: Floats, times: Floats) -> Floats:
 
 @announced
 @kernel
-def reference_table(
-    kind: int, table: Floats, settings: Floats, steps: int
-) -> tuple[Floats, Floats]:
-    """A trajectory tick by tick, `(steps + 1, 16)`: position and four derivatives.
-
-    And `(18,)` numbers of the leader at its start: what `leader_start` says, and the heading.
-    """
-    world = unpack(settings).world
-    rows, start = np.zeros((steps + 1, REFERENCE_ROW)), np.empty(MEASURED_ROWS + 2)
+def reference_table(kind: int, table: Floats, period: float, steps: int) -> Floats:
+    """A trajectory tick by tick, `(steps + 1, 16)`: position and four derivatives."""
+    rows = np.zeros((steps + 1, REFERENCE_ROW))
     for k in range(steps + 1):
-        put_reference(rows[k], evaluate(kind, table, k * world.clock.period))
-    first = rows[0]
-    begin = Reference(
-        load(first, 0), load(first, 3), load(first, 6), load(first, 9), load(first, 12)
-    )
-    put_sample(start, leader_start(begin, world))
-    R = start_direction(kind, table)
-    start[MEASURED_ROWS], start[MEASURED_ROWS + 1] = R.real, R.imag
-    return rows, start
+        put_reference(rows[k], evaluate(kind, table, k * period))
+    return rows

@@ -219,14 +219,6 @@ def copy_on(source: Any, sink: Any, to: int, count: int) -> None:
 
 
 @loop
-def repeat(source: Any, sink: Any, first: int, count: int) -> None:
-    """`count` numbers from `first` on, at the same place."""
-    a = np.uint64(first)
-    for k in range(np.uint64(count)):
-        sink[a + k] = source[a + k]
-
-
-@loop
 def sort_out(named: Any, over: Any, started: Any, anew: int, active: Any, moving: Any) -> Any:
     """Which of the worlds named step (`active`), and which of these have started (`moving`).
 

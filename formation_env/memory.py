@@ -91,7 +91,6 @@ class Constants(NamedTuple):
     offsets: Floats  # (n, 3): d
     starts: Floats  # (n+1, 3): where vehicles stand at the start on the ground
     drawing: Floats  # bounds of a random trajectory, or empty
-    start: Floats  # (18,): how the leader begins, `leader_start`, or empty if random
     references: (
         Floats  # (max_steps + 1, 16): the leader's reference tick by tick, or empty if random
     )
@@ -173,7 +172,6 @@ class Sizes(NamedTuple):
     table: int  # numbers in one
     settings: int
     drawing: int
-    start: int
     references: int  # rows
     entries: int
     trajectory_kind: int
@@ -204,18 +202,11 @@ def flatten(value: Any) -> list[float]:
     return [float(value)]
 
 
-def settings_of(config: FormationConfig) -> Floats:
-    """`Settings`, flattened."""
-    return np.array(flatten(Settings(config.world, config.reward, config.limits)))
-
-
-def allocate(
-    config: FormationConfig, worlds: int, max_steps: int, start: Floats, references: Floats
-) -> Floats:
+def allocate(config: FormationConfig, worlds: int, max_steps: int, references: Floats) -> Floats:
     """Memory for `worlds` worlds that have not been reset yet: `Sizes`, `Constants`, `State`."""
     world, path = config.world, config.trajectory
     drawing = np.zeros(0) if path.random is None else np.array(path.random, dtype=np.float64)
-    settings = settings_of(config)
+    settings = np.array(flatten(Settings(world, config.reward, config.limits)))
     exact = plain(every_tick)(world.clock) and plain(silent)(world.noise)
     sizes = Sizes(
         worlds,
@@ -227,7 +218,6 @@ def allocate(
         len(path.table),
         len(settings),
         len(drawing),
-        len(start),
         len(references),
         config.layout.size,
         path.kind,
@@ -249,7 +239,6 @@ def allocate(
         config.offsets,
         config.ground_starts(),
         drawing,
-        start,
         references,
     )
     for array, values in zip(constants, fixed, strict=True):
@@ -317,8 +306,7 @@ def views(memory: Floats) -> tuple[Constants, State]:
 
 def _constant_lengths(z: Sizes) -> tuple[int, ...]:
     n = z.vehicles - 1
-    table = REFERENCE_ROW * z.references
-    return (z.settings, 3 * n, 3 * z.vehicles, z.drawing, z.start, table)
+    return (z.settings, 3 * n, 3 * z.vehicles, z.drawing, REFERENCE_ROW * z.references)
 
 
 def _state_lengths(z: Sizes) -> tuple[int, ...]:
@@ -382,8 +370,7 @@ def open_constants(memory: Any, z: Any) -> Constants:
         carve(memory, at[1], (z[2] - 1, 3)),
         carve(memory, at[2], (z[2], 3)),
         carve(memory, at[3], (z[8],)),
-        carve(memory, at[4], (z[9],)),
-        carve(memory, at[5], (z[10], REFERENCE_ROW)),
+        carve(memory, at[4], (z[9], REFERENCE_ROW)),
     )
 
 
@@ -391,7 +378,7 @@ def open_constants(memory: Any, z: Any) -> Constants:
 def open_state(memory: Any, z: Any) -> State:
     """The arrays of `State` in the memory with the head `z`."""
     at = carve(z, _STATE_AT, (_STATE,))
-    T, V, R, S = z[1], z[2], z[16], z[17]
+    T, V, R, S = z[1], z[2], z[15], z[16]
     return State(
         carve(memory, at[0], (T, V, R * LANES)),
         carve(memory, at[1], (T, V, z[3], MEASURED_ROWS * LANES)),
@@ -434,10 +421,10 @@ def _open_crowd(room: Any, at: int, m: int, K: int) -> Crowd:
 def open_scratch(room: Any, state: State, z: Any) -> Scratch:
     """`Scratch` in a flat array of `scratch`; measurements that are not late are used in place."""
     at = carve(z, _SCRATCH_AT, (_SCRATCH + 1,))
-    T, V, K, L = z[1], z[2], z[13] + 1, LANES
+    T, V, K, L = z[1], z[2], z[12] + 1, LANES
     seen = carve(room, at[15], (1, V, MEASURED_ROWS * L))
     if z[3] == 0:
-        seen = carve(state.vehicles, 0, (T, V, z[16] * L))
+        seen = carve(state.vehicles, 0, (T, V, z[15] * L))
     elif z[3] == 1:
         seen = carve(state.samples, 0, (T, V, MEASURED_ROWS * L))
     return Scratch(
@@ -466,8 +453,8 @@ def open_scratch(room: Any, state: State, z: Any) -> Scratch:
         _open_crowd(room, at[22], V, K - 1),
         carve(room, at[23], (SIGHT * V * L,)),
         carve(room, at[24], (SIGHT * L,)),
-        reinterpret(carve(room, at[25], (z[11] * L // 2,)), np.float32),
-        reinterpret(carve(room, at[26], (z[11] * min(V - 1, BATCH) * L // 2,)), np.float32),
+        reinterpret(carve(room, at[25], (z[10] * L // 2,)), np.float32),
+        reinterpret(carve(room, at[26], (z[10] * min(V - 1, BATCH) * L // 2,)), np.float32),
         carve(room, at[27], (len(OUTPUTS) * min(V - 1, BATCH) * L,)),
         carve(room, at[28], (at[29] - at[28],)),
     )

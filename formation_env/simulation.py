@@ -77,12 +77,12 @@ class Simulation:
             self._threads = 1  # Python has no atomics
         self._results = memory.Shapes(config, num_worlds).results
         self.layout: Layout = config.layout
-        start, references = np.zeros(0), np.zeros((0, memory.REFERENCE_ROW))
+        references = np.zeros((0, memory.REFERENCE_ROW))
         if config.trajectory.random is None:
             kind, table = config.trajectory.kind, config.trajectory.table
-            settings = memory.settings_of(config)
-            references, start = kernels.reference_table(kind, table, settings, config.max_steps)
-        self._memory = memory.allocate(config, num_worlds, self.max_steps, start, references)
+            period = float(config.control_period)
+            references = kernels.reference_table(kind, table, period, config.max_steps)
+        self._memory = memory.allocate(config, num_worlds, self.max_steps, references)
         self._state = memory.views(self._memory)[1]
         self._rooms = [memory.scratch(self._memory) for _ in range(self._threads)]
         self._everyone = np.ones(num_worlds, dtype=np.bool_)

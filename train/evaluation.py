@@ -66,5 +66,9 @@ class Judge:
 
     def judge(self, card: Card, network: Network) -> tuple[Estimate, Episodes]:
         """The normalised score with its interval, and the metrics of every episode."""
-        columns = self._fly(Learned(self.config, (card, network)))
+        return self.score(Learned(self.config, (card, network)))
+
+    def score(self, policy: Policy) -> tuple[Estimate, Episodes]:
+        """The same of any policy."""
+        columns = self._fly(policy)
         return estimate(normalised, columns["return"], self._hover, self._expert), columns
