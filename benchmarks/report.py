@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
 
 Figures = dict[str, Any]
 Row = dict[str, Any]
@@ -188,35 +191,65 @@ def markdown(figures: Figures) -> str:
 
 
 def plot(grid: list[Row], path: Path) -> bool:
-    """Cost per agent step against worlds and against followers; False without Matplotlib."""
+    """Cost per agent step against worlds and against followers, a row of pictures for each scenario.
+
+    Returns False without Matplotlib.
+    """
     try:
         import matplotlib
     except ImportError:
         return False
     matplotlib.use("Agg")
-    from matplotlib import pyplot
+    from matplotlib import colormaps, pyplot
+    from matplotlib.lines import Line2D
 
-    figure, axes = pyplot.subplots(1, 2, figsize=(11, 4.5), sharey=True)
     shown = [row for row in grid if row["action"] == "wrench"]
-    for ax, along, held in zip(axes, ("worlds", "followers"), ("followers", "worlds"), strict=True):
-        lines: dict[tuple[Any, ...], list[Row]] = {}
-        for row in shown:
-            lines.setdefault((row["scenario"], row[held], row["threads"]), []).append(row)
-        for (scenario, number, threads), rows in sorted(lines.items()):
-            rows = sorted(rows, key=lambda row: row[along])
-            ax.loglog(
-                [row[along] for row in rows],
-                [row["ns_per_agent_step"] for row in rows],
-                marker="o",
-                markersize=3,
-                linestyle="-" if threads == 1 else "--",
-                label=f"{scenario}, {number} {held}, threads {threads}",
-            )
+    scenarios = sorted({row["scenario"] for row in shown})
+    figure, pictures = pyplot.subplots(
+        len(scenarios),
+        2,
+        figsize=(10, 0.8 + 3.4 * len(scenarios)),
+        sharex="col",
+        sharey=True,
+        squeeze=False,
+        layout="constrained",
+    )
+    styles = {1: "-", 2: "--"}
+    for scenario, axes in zip(scenarios, pictures, strict=True):
+        for ax, along, held in zip(
+            axes, ("worlds", "followers"), ("followers", "worlds"), strict=True
+        ):
+            rows = [row for row in shown if row["scenario"] == scenario]
+            numbers = sorted({row[held] for row in rows})
+            # Dark to light as the number grows; the lightest would not be seen on white.
+            shades = colormaps["viridis"](np.linspace(0.0, 0.85, len(numbers)))
+            for (number, shade), threads in product(zip(numbers, shades, strict=True), styles):
+                line = [r for r in rows if (r[held], r["threads"]) == (number, threads)]
+                line.sort(key=lambda row: row[along])
+                ax.loglog(
+                    [row[along] for row in line],
+                    [row["ns_per_agent_step"] for row in line],
+                    marker="o",
+                    markersize=3,
+                    color=shade,
+                    linestyle=styles[threads],
+                    label=f"{number:,} {held if number > 1 else held[:-1]}"
+                    if threads == 1
+                    else None,
+                )
+            ax.set_title(f"{scenario}, against {along}", fontsize=10)
+            ax.grid(visible=True, which="both", alpha=0.2)
+            ax.legend(fontsize=7)
+        axes[0].set_ylabel("cost per agent step, ns")
+    for ax, along in zip(pictures[-1], ("worlds", "followers"), strict=True):
         ax.set_xlabel(along)
-        ax.grid(visible=True, which="both", alpha=0.2)
-        ax.legend(fontsize=5.5)
-    axes[0].set_ylabel("cost per agent step, ns")
-    figure.tight_layout()
+    threads_shown = [
+        Line2D(
+            [], [], color="black", linestyle=style, label=f"{threads} thread" + "s" * (threads > 1)
+        )
+        for threads, style in styles.items()
+    ]
+    figure.legend(handles=threads_shown, loc="outside upper center", ncols=2, fontsize=8)
     figure.savefig(path, dpi=130)
     pyplot.close(figure)
     return True
