@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -214,7 +214,7 @@ def plot(grid: list[Row], path: Path) -> bool:
         squeeze=False,
         layout="constrained",
     )
-    styles = {1: "-", 2: "--"}
+    styles: dict[int, Literal["-", "--"]] = {1: "-", 2: "--"}
     for scenario, axes in zip(scenarios, pictures, strict=True):
         for ax, along, held in zip(
             axes, ("worlds", "followers"), ("followers", "worlds"), strict=True
