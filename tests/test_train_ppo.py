@@ -409,6 +409,17 @@ def test_the_actors_rate_follows_how_far_updates_go(tmp_path: Path) -> None:
     assert slow.model.actor_rate == pytest.approx(1.5**4 * 1e-4)
 
 
+def test_how_far_updates_should_go_falls_with_the_learning_rate(tmp_path: Path) -> None:
+    """What is right at the start is too far at the end, where the rate is a tenth."""
+    run = prepare(small(tmp_path, kl=1e-3, actor_rate=0.5))
+    for left, expected in ((1.0, 0.5), (0.0, 0.5 / 1.5)):
+        run.model._current_progress_remaining = left
+        run.model._steer(1e-3)
+        assert run.model.actor_rate == pytest.approx(expected)
+    run.model._steer(1e-4)
+    assert run.model.actor_rate == pytest.approx(0.5 / 1.5)
+
+
 def test_a_correction_of_a_file_goes_by_that_files_name(tmp_path: Path) -> None:
     """And keeps its bound; one from nothing, and one of that, are plain corrections."""
     prepare(small(tmp_path / "one", residual=0.3)).train()

@@ -39,16 +39,18 @@ class Learner(PPO):
     seconds = 0.0  # in updates
     alone_until = 0  # agent steps
     actor_rate = 1.0  # part of the learning rate
-    kl: float | None = None  # to be kept by that part
+    kl: float | None = None  # to be kept by that part at the start; it falls with the learning rate
 
     policy: FollowerPolicy
 
     def _steer(self, kl: float) -> None:
         """Slower if an update went twice as far as it should, faster if not half as far."""
         assert self.kl is not None
-        if kl > 2.0 * self.kl:
+        left = self.lr_schedule(self._current_progress_remaining) / self.lr_schedule(1.0)
+        wanted = self.kl * left
+        if kl > 2.0 * wanted:
             self.actor_rate /= _STEER
-        elif kl < 0.5 * self.kl:
+        elif kl < 0.5 * wanted:
             self.actor_rate = min(self.actor_rate * _STEER, 1.0)
 
     def part(self, actor_rate: float) -> None:

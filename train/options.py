@@ -65,8 +65,8 @@ class Options:
     to tell an actor from a file, which is good already, what is better."""
     kl: float | None = None
     """Steer the actor's part of the learning rate, from actor_rate on, so that an update changes what it
-    does by about so much (mean Kullback-Leibler divergence). An actor from a file needs a rate of its
-    own, which depends on the exploration."""
+    does by about so much (mean Kullback-Leibler divergence); it falls as the learning rate does. An actor
+    from a file needs a rate of its own, which depends on the exploration."""
     gamma: float = 0.98
     """Discount per tick. Rewards are scaled by 1 - gamma, so that values are of order one."""
     gae_lambda: float = 0.95
