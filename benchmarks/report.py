@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from itertools import product
+from itertools import permutations
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -190,6 +190,30 @@ def markdown(figures: Figures) -> str:
     return "\n\n".join(parts) + "\n"
 
 
+_STYLES: dict[int, Literal["-", "--"]] = {1: "-", 2: "--"}  # by threads
+
+
+def _counted(number: int, things: str) -> str:
+    """`1 world`, `4,096 worlds`."""
+    return f"{number:,} {things if number > 1 else things[:-1]}"
+
+
+def _draw(ax: Any, rows: list[Row], along: str, held: str, shade: Any) -> None:
+    """The lines, one for each number of threads, of rows that have the same number of `held`."""
+    for threads, style in _STYLES.items():
+        line = [row for row in rows if row["threads"] == threads]
+        line.sort(key=lambda row: row[along])
+        ax.loglog(
+            [row[along] for row in line],
+            [row["ns_per_agent_step"] for row in line],
+            marker="o",
+            markersize=3,
+            color=shade,
+            linestyle=style,
+            label=_counted(rows[0][held], held) if threads == 1 else None,
+        )
+
+
 def plot(grid: list[Row], path: Path) -> bool:
     """Cost per agent step against worlds and against followers, a row of pictures for each scenario.
 
@@ -214,40 +238,23 @@ def plot(grid: list[Row], path: Path) -> bool:
         squeeze=False,
         layout="constrained",
     )
-    styles: dict[int, Literal["-", "--"]] = {1: "-", 2: "--"}
     for scenario, axes in zip(scenarios, pictures, strict=True):
-        for ax, along, held in zip(
-            axes, ("worlds", "followers"), ("followers", "worlds"), strict=True
-        ):
-            rows = [row for row in shown if row["scenario"] == scenario]
-            numbers = sorted({row[held] for row in rows})
+        rows = [row for row in shown if row["scenario"] == scenario]
+        for ax, (along, held) in zip(axes, permutations(("worlds", "followers")), strict=True):
             # Dark to light as the number grows; the lightest would not be seen on white.
+            numbers = sorted({row[held] for row in rows})
             shades = colormaps["viridis"](np.linspace(0.0, 0.85, len(numbers)))
-            for (number, shade), threads in product(zip(numbers, shades, strict=True), styles):
-                line = [r for r in rows if (r[held], r["threads"]) == (number, threads)]
-                line.sort(key=lambda row: row[along])
-                ax.loglog(
-                    [row[along] for row in line],
-                    [row["ns_per_agent_step"] for row in line],
-                    marker="o",
-                    markersize=3,
-                    color=shade,
-                    linestyle=styles[threads],
-                    label=f"{number:,} {held if number > 1 else held[:-1]}"
-                    if threads == 1
-                    else None,
-                )
+            for number, shade in zip(numbers, shades, strict=True):
+                _draw(ax, [row for row in rows if row[held] == number], along, held, shade)
             ax.set_title(f"{scenario}, against {along}", fontsize=10)
+            if scenario == scenarios[-1]:
+                ax.set_xlabel(along)
             ax.grid(visible=True, which="both", alpha=0.2)
             ax.legend(fontsize=7)
         axes[0].set_ylabel("cost per agent step, ns")
-    for ax, along in zip(pictures[-1], ("worlds", "followers"), strict=True):
-        ax.set_xlabel(along)
     threads_shown = [
-        Line2D(
-            [], [], color="black", linestyle=style, label=f"{threads} thread" + "s" * (threads > 1)
-        )
-        for threads, style in styles.items()
+        Line2D([], [], color="black", linestyle=style, label=_counted(threads, "threads"))
+        for threads, style in _STYLES.items()
     ]
     figure.legend(handles=threads_shown, loc="outside upper center", ncols=2, fontsize=8)
     figure.savefig(path, dpi=130)
