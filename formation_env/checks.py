@@ -1,45 +1,201 @@
-"""Refusing bad arguments in one voice: `name = value: expected ...`, always a `ValueError`."""
+"""Converting and checking what a user gives, in one voice: `name = value: expected ...`.
+
+Every number and array of a public function passes through here, and what is returned, a plain `float`
+or `int` or a float64 array, is what has to be stored: a NumPy scalar of eight bits would overflow
+later. Values of another kind than asked for are refused, not guessed at: booleans, strings and complex
+numbers are not numbers, and a masked entry is not one either. All raise `ValueError`; a keyword that
+does not exist is a `TypeError`, as in Python itself. No message is longer than `LONGEST` characters.
+"""
 
 from __future__ import annotations
 
-from math import inf
-from typing import Any
+from collections.abc import Iterable
+from math import inf, isfinite
+from typing import Any, NoReturn
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
+
+LONGEST = 500  # characters of a message
+_SHOWN = 120  # of a value in it
+
+
+def shown(value: object) -> str:
+    """`value` for a message: its `repr` if that is short, else its beginning, or an array's shape."""
+    if isinstance(value, np.ndarray) and value.size > 8:
+        return f"array of shape {value.shape}, dtype {value.dtype}"
+    if isinstance(value, (list, tuple)) and len(value) > 32:
+        kind = type(value).__name__
+        return f"{kind} of {len(value)} entries, the first {shown(value[0])}"
+    try:
+        text = repr(value)
+    except Exception:  # whatever a stranger's `__repr__` or an integer of 10,000 digits raises
+        text = f"<{type(value).__name__}>"
+    text = " ".join(line.strip() for line in text.splitlines())  # an array's has several
+    return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 4]} ..."
+
+
+def refuse(name: str, value: object, expected: str) -> NoReturn:
+    """Raise the `ValueError` that names an argument, its value and what was expected."""
+    message = f"{name} = {shown(value)}: expected {expected}"
+    raise ValueError(message if len(message) <= LONGEST else f"{message[: LONGEST - 4]} ...")
 
 
 def require(condition: bool, name: str, value: object, expected: str) -> None:
-    """Raise the `ValueError` that names an argument, its value and what was expected."""
+    """`refuse` unless the condition holds."""
     if not condition:
-        raise ValueError(f"{name} = {value!r}: expected {expected}")
+        refuse(name, value, expected)
 
 
-def number(name: str, value: Any, low: float = -inf, *, strict: bool = True) -> float:
-    """`value` as a finite number above `low`, or at least `low` where not `strict`."""
-    bound = "" if low == -inf else f" {'above' if strict else 'of at least'} {low:g}"
-    real = isinstance(value, (int, float, np.integer, np.floating))
-    good = real and not isinstance(value, bool) and bool(np.isfinite(value))
-    good = good and bool(value > low if strict else value >= low)
-    require(good, name, value, f"a finite number{bound}")
-    return float(value)
+def unexpected_keyword(function: str, name: str, known: Iterable[str]) -> TypeError:
+    """The error that Python itself raises for an unknown keyword, with the known ones after it."""
+    message = f"{function}() got an unexpected keyword argument {name!r}: known are "
+    message += ", ".join(known)
+    return TypeError(message if len(message) <= LONGEST else f"{message[: LONGEST - 4]} ...")
+
+
+def number(
+    name: str, value: Any, low: float = -inf, high: float = inf, *, strict: bool = True
+) -> float:
+    """`value` as a finite `float` above `low`, or at least `low` where not `strict`, up to `high`."""
+    real = _real(value)
+    good = real is not None and (real > low if strict else real >= low) and real <= high
+    if real is None or not good:
+        refuse(name, value, "a finite number" + _limits(low, high, strict))
+    return real
 
 
 def integer(name: str, value: Any, low: int, high: int | None = None) -> int:
-    """`value` as a whole number from `low` to `high`."""
-    real = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    good = real and value >= low and (high is None or value <= high)
-    limits = f"of at least {low}" if high is None else f"from {low} to {high}"
-    require(good, name, value, f"an integer {limits}")
+    """`value` as a whole number from `low` to `high`, an `int`."""
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not whole or int(value) < low or (high is not None and int(value) > high):
+        limits = f"of at least {low}" if high is None else f"from {low} to {high}"
+        refuse(name, value, f"an integer {limits}")
     return int(value)
 
 
-def vector(name: str, value: ArrayLike, size: int) -> NDArray[np.float64]:
-    """`value` as `size` finite numbers."""
-    expected = f"{size} finite numbers"
+def boolean(name: str, value: Any) -> bool:
+    """`value` as True or False; numbers are refused."""
+    require(isinstance(value, (bool, np.bool_)), name, value, "True or False")
+    return bool(value)
+
+
+def choice(name: str, value: Any, allowed: Iterable[str]) -> str:
+    """`value` as one of some names."""
+    names = tuple(allowed)
+    known = isinstance(value, str) and value in names
+    require(known, name, value, "one of " + ", ".join(map(repr, names)))
+    return str(value)
+
+
+def array(
+    name: str,
+    value: Any,
+    shape: tuple[int | None, ...],
+    low: float = -inf,
+    high: float = inf,
+    *,
+    strict: bool = True,
+) -> NDArray[np.float64]:
+    """`value` as a new float64 array of finite numbers within bounds, as `number` has them.
+
+    `shape` has None where any length from 1 is allowed. An entry that is refused is named with its
+    index, in a table with that of its row: `points[4000] = [0.0, nan, -1.0]: expected ...`.
+    """
+    lengths = ", ".join("any" if n is None else str(n) for n in shape)
+    expected = f"finite numbers of shape ({lengths}{',' if len(shape) == 1 else ''})"
+    if len(shape) == 1 and shape[0] is not None:
+        expected = f"{shape[0]} finite numbers"
+    elif len(shape) == 2 and shape[0] is None:
+        expected = f"rows of {shape[1]} finite numbers"
+    numbers = _floats(value)
+    if numbers is None:
+        index = _first_not_real(value)
+        found = value
+        for i in index[:1]:
+            found, name = found[i], f"{name}[{i}]"
+        refuse(name, found, expected)
+    fits = numbers.ndim == len(shape) and all(
+        len_ > 0 if n is None else len_ == n for len_, n in zip(numbers.shape, shape, strict=True)
+    )
+    if not fits:
+        found = value if numbers.size <= 8 else f"numbers of shape {numbers.shape}"
+        message = f"{name} = {shown(found) if found is value else found}: expected {expected}"
+        raise ValueError(message)
+    good = np.isfinite(numbers) & (numbers > low if strict else numbers >= low) & (numbers <= high)
+    if not good.all():
+        first = tuple(int(i) for i in np.argwhere(~good)[0])
+        where = first[:1] if numbers.ndim > 1 else first
+        name += "".join(f"[{i}]" for i in where)
+        refuse(name, numbers[where].tolist(), "finite numbers" + _limits(low, high, strict))
+    return numbers
+
+
+def vector(
+    name: str, value: Any, size: int, low: float = -inf, high: float = inf, *, strict: bool = True
+) -> NDArray[np.float64]:
+    """`value` as `size` finite numbers within bounds: `array` of one axis."""
+    return array(name, value, (size,), low, high, strict=strict)
+
+
+def _limits(low: float, high: float, strict: bool) -> str:
+    """Bounds in words."""
+    text = "" if low == -inf else f" {'above' if strict else 'of at least'} {low:g}"
+    above = "" if high == inf else f"{' and' if text else ''} at most {high:g}"
+    return text + (above if text or not above else f" of{above}")
+
+
+def _real(value: Any) -> float | None:
+    """A real, finite number as `float`; None for anything else."""
+    if isinstance(value, (bool, np.bool_)) or not isinstance(
+        value, (int, float, np.integer, np.floating)
+    ):
+        return None
     try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name} = {value!r}: expected {expected}") from error
-    require(array.shape == (size,) and bool(np.isfinite(array).all()), name, value, expected)
-    return array
+        real = float(value)
+    except OverflowError:  # an integer beyond the range of float
+        return None
+    return real if isfinite(real) else None
+
+
+def _floats(value: Any) -> NDArray[np.float64] | None:
+    """`value` as a new float64 array, not checked for NaN and infinity; None if it is not of numbers."""
+    if isinstance(value, np.ma.MaskedArray):
+        return None
+    if isinstance(value, np.ndarray) and value.dtype.kind in "fiu":
+        with np.errstate(over="ignore"):  # a long double can be beyond the range of float64
+            return np.array(value, dtype=np.float64, order="C", subok=False)
+    if isinstance(value, (str, bytes)):
+        return None
+    try:
+        numbers = np.array(value, dtype=object)
+    except (TypeError, ValueError):  # rows of unequal length
+        return None
+    leaves = [_leaf(leaf) for leaf in numbers.ravel()]
+    if any(leaf is None for leaf in leaves):
+        return None
+    return np.array(leaves, dtype=np.float64).reshape(numbers.shape)
+
+
+def _leaf(value: Any) -> float | None:
+    """A number as `float`, NaN and infinity included; None for what is not a number."""
+    if isinstance(value, (float, np.floating)):
+        return float(value)
+    if isinstance(value, (int, np.integer)) and not isinstance(value, (bool, np.bool_)):
+        try:
+            return float(value)
+        except OverflowError:
+            return inf
+    return None
+
+
+def _first_not_real(value: Any) -> tuple[int, ...]:
+    """Index of the first entry of a list of lists that is not made of numbers, or ()."""
+    if not isinstance(value, (list, tuple)):
+        return ()
+    widths = {len(row) for row in value if isinstance(row, (list, tuple, np.ndarray))}
+    for i, row in enumerate(value):
+        ragged = isinstance(row, (list, tuple, np.ndarray)) and len(widths) > 1
+        if _floats(row) is None or (ragged and len(row) != len(value[0])):
+            return (i,)
+    return ()
