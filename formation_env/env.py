@@ -79,14 +79,17 @@ class FormationEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     ## Rewards
 
-    The mean over followers of the sum of named terms, all in `info["reward_terms"]`:
+    The mean over followers of the sum of four terms, each an entry of `info`:
 
-    | term | value per tick | default weight |
+    | entry of `info` | value per tick | default weight |
     |---|---|---|
-    | `formation` | `1 / (1 + (e / scale)^2)`, `e` the true distance to the slot | scale 0.3 m |
-    | `effort` | `-w` times the mean squared action | 0.05 |
-    | `smoothness` | `-w` times the mean squared change of action | 0.05 |
-    | `failure` | `-w` once, to the follower that failed | 10 |
+    | `reward_formation` | `1 / (1 + (e / scale)^2)`, `e` the true distance to the slot | scale 0.3 m |
+    | `reward_effort` | `-w` times the mean squared action | 0.05 |
+    | `reward_smoothness` | `-w` times the mean squared change of action | 0.05 |
+    | `reward_failure` | `-w` once, to the follower that failed | 10 |
+
+    A tick earns at most 1, so an episode's return is at most its number of ticks: 1000 in `nominal`
+    (20 s at 0.02 s), and less in practice, since following the leader costs some effort.
 
     ## Starting State
 
@@ -115,9 +118,15 @@ class FormationEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     ## Info
 
-    `slots` and `slot_error` `(followers, 3)` (m, inertial, true), `separation` `(followers,)` (m, to
-    the nearest other vehicle), `failure` `(followers,)` (index into `task.FAILURES`),
-    `reward_terms` (a dictionary of `(followers,)` arrays).
+    Arrays, none nested, of the true state after the step:
+
+    | entry | shape | unit | meaning |
+    |---|---|---|---|
+    | `slots` | `(followers, 3)` | m, inertial | where each follower should be |
+    | `slot_error` | `(followers, 3)` | m, inertial | slot minus position |
+    | `separation` | `(followers,)` | m | distance to the nearest other vehicle |
+    | `failure` | `(followers,)` | - | int64, an index into `task.FAILURES`: 0 none, 1 collision, 2 impact, 3 lost |
+    | `reward_formation`, `reward_effort`, `reward_smoothness`, `reward_failure` | `(followers,)` | 1 | the terms of the reward, see Rewards |
 
     ## Version History
 

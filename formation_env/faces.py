@@ -65,20 +65,19 @@ def describe(
     `terminated` says in which worlds a follower may have failed, if that is known.
 
     `slots` (m, inertial), `slot_error` (slot minus true position, m, inertial), `separation`
-    (distance to the nearest other vehicle, m), `failure` (an index into `task.FAILURES`) and
-    `reward_terms`, each with the leading shape of `outputs`.
+    (distance to the nearest other vehicle, m), `failure` (an index into `task.FAILURES`) and the
+    terms of the reward, `reward_formation` and so on, each with the leading shape of `outputs`.
+    Nothing in it is nested: other libraries make one tensor of every entry.
     """
     return {
         "slots": outputs[_SLOTS],
         "slot_error": outputs[_ERRORS],
         "separation": outputs[_SEPARATION],
         "failure": _failures(outputs, terminated),
-        "reward_terms": {
-            "formation": outputs[_FORMATION],
-            "effort": outputs[_EFFORT],
-            "smoothness": outputs[_SMOOTHNESS],
-            "failure": outputs[_FAILURE],
-        },
+        "reward_formation": outputs[_FORMATION],
+        "reward_effort": outputs[_EFFORT],
+        "reward_smoothness": outputs[_SMOOTHNESS],
+        "reward_failure": outputs[_FAILURE],
     }
 
 

@@ -172,12 +172,10 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
                 "slot_error": outputs[error],
                 "separation": row[SEPARATION],
                 "failure": int(row[FAILED]),
-                "reward_terms": {
-                    "formation": row[TERMS],
-                    "effort": row[TERMS + 1],
-                    "smoothness": row[TERMS + 2],
-                    "failure": row[TERMS + 3],
-                },
+                "reward_formation": row[TERMS],
+                "reward_effort": row[TERMS + 1],
+                "reward_smoothness": row[TERMS + 2],
+                "reward_failure": row[TERMS + 3],
             }
         return observations, rewards, infos
 

@@ -196,20 +196,14 @@ def _masked(info: dict[str, Any], mask: NDArray[np.bool_]) -> dict[str, Any]:
     """Gymnasium's form: beside each array `_name`, the worlds it speaks of; zeros elsewhere."""
     # Whether all are meant is asked once: for every entry anew it was half of a small batch's step.
     others = None if mask.all() else ~mask
-
-    def named(part: dict[str, Any]) -> dict[str, Any]:
-        result: dict[str, Any] = {}
-        for name, value in part.items():
-            if isinstance(value, dict):
-                value = named(value)
-            elif others is not None:
-                value = value.copy()
-                value[others] = 0
-            result[name] = value
-            result[f"_{name}"] = mask.copy()
-        return result
-
-    return named(info)
+    result: dict[str, Any] = {}
+    for name, value in info.items():
+        if others is not None:
+            value = value.copy()
+            value[others] = 0
+        result[name] = value
+        result[f"_{name}"] = mask.copy()
+    return result
 
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
