@@ -9,6 +9,7 @@ from gymnasium import logger, spaces
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
+from formation_env.checks import choice, refuse
 from formation_env.memory import ERROR, FAILED, SEPARATION, SLOT, TERMS
 
 if TYPE_CHECKING:
@@ -39,6 +40,11 @@ def action_space(config: FormationConfig, rows: int) -> Any:
     return spaces.Box(-1.0, 1.0, (rows * config.action_size,), dtype=np.float32)
 
 
+def fps(config: FormationConfig) -> int:
+    """Pictures a second of an episode in its own time: one a tick, as a whole number."""
+    return max(1, round(1.0 / config.control_period))
+
+
 def read_action(action: Any, shape: tuple[int, ...], name: str = "action") -> NDArray[np.float32]:
     """The action as float32 of the given shape, itself where it is that already.
 
@@ -46,7 +52,12 @@ def read_action(action: Any, shape: tuple[int, ...], name: str = "action") -> ND
     """
     if type(action) is np.ndarray and action.dtype is FLOAT and action.shape == shape:
         return action  # as nearly always: nothing to check, and the kernels only read
-    array = np.asarray(action)
+    try:
+        array = np.asarray(action)
+    except ValueError:  # rows of unequal length
+        refuse(name, action, f"numbers of shape {shape}")
+    if isinstance(action, np.ma.MaskedArray):
+        refuse(name, action, f"an array of shape {shape} without a mask")
     if array.dtype.kind not in "fiu":
         raise ValueError(f"{name} has dtype {array.dtype}: expected real numbers")
     if array.shape != shape:
@@ -102,10 +113,7 @@ class Screen:
     """
 
     def __init__(self, mode: str | None, allowed: tuple[str, ...] = RENDER_MODES) -> None:
-        if mode is not None and mode not in allowed:
-            names = ", ".join(map(repr, allowed))
-            raise ValueError(f"render_mode = {mode!r}: expected one of {names} or None")
-        self.mode = mode
+        self.mode = None if mode is None else choice("render_mode", mode, allowed)
         self._renderers: dict[int, Renderer] = {}
 
     def draw(self, simulation: Simulation, world: int = 0) -> Any:
