@@ -28,7 +28,7 @@ from formation_env.sensors import Noise
 from formation_env.slots import out_of_frame
 from formation_env.so3 import Vector
 from formation_env.task import ANYWHERE, NEAR, RATE_BOUND, Layout, Limits, Rewards
-from formation_env.trajectories import Trajectory, figure_eight, path_start
+from formation_env.trajectories import Trajectory, as_trajectory, figure_eight, path_start
 from formation_env.vehicle import Vehicle, vector3
 from formation_env.world import RATE, REFERENCE, WRENCH, Clock, Gusts, Reach, World
 
@@ -132,9 +132,7 @@ class FormationConfig:
     def _convert(self) -> None:
         """Every field as what it is to be, or refused by itself."""
         require(isinstance(self.scenario, str), "scenario", self.scenario, "a name")
-        require(
-            isinstance(self.trajectory, Trajectory), "trajectory", self.trajectory, "a Trajectory"
-        )
+        self._store("trajectory", as_trajectory("trajectory", self.trajectory))
         self._store("offsets", rows("offsets", self.offsets, NEAR))
         limit = vector3("reference_max", self.reference_max, 0.0, RATE_BOUND)
         self._store("reference_max", limit)
@@ -196,8 +194,8 @@ class FormationConfig:
                 d[0] >= _NEAREST,
                 f"offsets[{i}]",
                 d,
-                f"d_x > 0, {_NEAREST:g} m at least: Gamma (14) needs d_x != 0, and with the heading "
-                "started along the leader's the zero dynamics (26) are stable only for a leader ahead",
+                "d_x > 0: Gamma (14) needs d_x != 0, and with the heading started along the leader's "
+                f"the zero dynamics (26) are stable only for a leader ahead; {_NEAREST:g} m at least",
             )
         gap = formations.min_separation(np.array(self.offsets))
         require(

@@ -24,6 +24,7 @@ from formation_env import (
     formation_v0,
     trajectories,
 )
+from formation_env.checks import LONGEST
 from formation_env.env import FormationEnv
 from formation_env.vector import FormationVectorEnv
 
@@ -37,7 +38,7 @@ NOT_A_COUNT = (-1, 1.5, "x", None, True, 10**9)
 # Field of the configuration -> impossible values.
 IMPOSSIBLE: dict[str, tuple[Any, ...]] = {
     "offsets": ((), (0.35, 0.35, -0.3), ((0.35, 0.35),), ((nan, 0.0, 0.0),), "x", None),
-    "trajectory": (None, "figure-eight", lambda t: t),
+    "trajectory": (None, "figure-eight", lambda t: t, 3, {"path": "spiral"}),
     "action": ("torque", None, 3),
     "start": ("air", None, 1),
     "start_offset": (*NEGATIVE, 0.6),
@@ -78,10 +79,15 @@ def test_an_impossible_value_is_refused_by_name(name: str, value: Any) -> None:
         configure("nominal", **{name: value})
     message = str(caught.value)
     shown = [repr(value), "shape", "rows", "apart"]  # tables are told by their shape,
-    if name == "reference_max" and isinstance(value, tuple):
-        shown.append(str(value[0]))  # vectors by the number that is wrong
+    if isinstance(value, (tuple, list)):
+        shown += [repr(x) for x in value]  # or by the row that is wrong,
+        shown += [repr(list(x)) for x in value if isinstance(x, tuple)]
+        shown.append(repr(list(value)))
+    if isinstance(value, dict):
+        shown += [repr(x) for x in value.values()]  # parts by the entry
     assert any(text in message for text in shown), message
     assert "expected" in message
+    assert len(message) <= LONGEST
 
 
 @pytest.mark.parametrize("group", ["noise", "reward", "limits"])
