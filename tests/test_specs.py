@@ -131,8 +131,8 @@ def test_pettingzoos_limit_may_be_set_but_not_beyond_the_duration() -> None:
 KEYWORDS: list[dict[str, Any]] = [
     {},
     {"scenario": "paper", "followers": 3, "action": "rates"},
-    {"offsets": np.array([[0.5, 0.4, -0.3], [0.5, -0.4, -0.3]])},
-    {"offsets": ((0.5, 0.4, -0.3), (0.5, -0.4, -0.3))},
+    {"offsets": np.array([[0.2, 0.35, -0.3], [0.2, -0.35, -0.3]])},
+    {"offsets": ((0.2, 0.35, -0.3), (0.2, -0.35, -0.3))},
     {"trajectory": trajectories.circle(radius=2.0, speed=0.5)},
     {"trajectory": trajectories.hover()},
     {"scenario": configure("paper", action="reference", gust=0.1)},
