@@ -35,6 +35,7 @@ from formation_env.world import RATE, REFERENCE, WRENCH, Clock, Gusts, Reach, Wo
 LEVELS = {"wrench": WRENCH, "rates": RATE, "reference": REFERENCE}
 ACTUATIONS = {"moment": MOMENT, "rates": RATES}
 MAX_FOLLOWERS = 4096
+_RESOLVED = 1000.0  # s
 _NEAREST = 1e-3  # m, least d_x: headings turn at up to V_L / d_x (23)
 
 NO_NOISE = Noise(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -298,7 +299,7 @@ class FormationConfig:
 
     def feasibility(self) -> tuple[Feasibility, ...]:
         """Report on (23)-(30) for every follower along the leader's trajectory."""
-        return _feasibility(self.offsets, self.trajectory, self.duration)
+        return _feasibility(self.offsets, self.trajectory, _judged(self.trajectory, self.duration))
 
     def ground_starts(self) -> tuple[Vector, ...]:
         """Where the leader and the followers stand at the start on the ground, leader first."""
@@ -355,6 +356,13 @@ def quietly(make: Callable[..., FormationConfig], *args: Any, **given: Any) -> F
         return make(*args, **given)
 
 
+def _judged(trajectory: Trajectory, duration: float) -> float:
+    """Seconds of the path that are looked at, s: of one without an end that repeats itself, no more
+    than are resolved. A billion seconds in steps of hours would show inversions that there are not.
+    """
+    return min(duration, _RESOLVED) if trajectory.duration == inf else duration
+
+
 @lru_cache(maxsize=64)
 def _feasibility(
     offsets: tuple[Vector, ...], trajectory: Trajectory, duration: float
@@ -367,7 +375,8 @@ def _lowest(trajectory: Trajectory, duration: float) -> float:
     """Largest `p_z` (lowest point) of the reference, m; the floor is 0."""
     if trajectory.random is not None:
         return -trajectory.random.height + trajectory.random.climb
-    times = np.linspace(0.0, min(duration, trajectory.duration), 501)
+    span = _judged(trajectory, min(duration, trajectory.duration))
+    times = np.linspace(0.0, span, max(501, ceil(span / 0.04) + 1))
     return float(trajectory(times)[:, 0, 2].max())
 
 
