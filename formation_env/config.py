@@ -18,6 +18,7 @@ from formation_env import formations
 from formation_env.checks import integer, number, require
 from formation_env.feasibility import Feasibility, check, require_feasible
 from formation_env.gains import RATES_GAINS, PlannerGains, TrackerGains
+from formation_env.leader_path import require_flyable
 from formation_env.quadrotor import GRAVITY, MOMENT, RATES
 from formation_env.sensors import Noise
 from formation_env.slots import out_of_frame
@@ -105,6 +106,15 @@ class FormationConfig:
                 f"sigma_max < g - z_max = {bound:g} m/s^2 (53), so that the desired thrust never "
                 "vanishes",
             )
+        require_flyable(
+            self.trajectory,
+            float(self.duration),
+            self.offsets,
+            self.leader_start,
+            self.follower_starts,
+            self.vehicle,
+            ACTUATIONS[self.leader_actuation],
+        )
         require_feasible(self.feasibility())
 
     # -- checks -----------------------------------------------------------------------------------
