@@ -21,6 +21,7 @@ from formation_env.bounds import check_clock, check_moments, check_rate_loop
 from formation_env.checks import choice, integer, number, refuse, require
 from formation_env.feasibility import Feasibility, FeasibilityWarning, check, require_feasible
 from formation_env.gains import RATES_GAINS, PlannerGains, TrackerGains
+from formation_env.leader_path import require_flyable
 from formation_env.parts import part, rows
 from formation_env.plain_form import plain
 from formation_env.quadrotor import GRAVITY, MOMENT, RATES
@@ -125,6 +126,15 @@ class FormationConfig:
         self._check_dynamics()
         self._check_formation()
         self._check_starts()
+        require_flyable(
+            self.trajectory,
+            self.duration,
+            self.offsets,
+            self.leader_start,
+            self.follower_starts,
+            self.vehicle,
+            ACTUATIONS[self.leader_actuation],
+        )
         require_feasible(self.feasibility())
 
     def _store(self, name: str, value: Any) -> None:
@@ -149,10 +159,10 @@ class FormationConfig:
             period = number("measurement_period", self.measurement_period, 0.0)
             self._store("measurement_period", period)
         if self.leader_start is not None:
-            start = vector3("leader_start", self.leader_start, -ANYWHERE, ANYWHERE, strict=False)
+            start = vector3("leader_start", self.leader_start)
             self._store("leader_start", start)
         if self.follower_starts is not None:
-            starts = rows("follower_starts", self.follower_starts, ANYWHERE)
+            starts = rows("follower_starts", self.follower_starts)
             self._store("follower_starts", starts)
 
     # -- checks -----------------------------------------------------------------------------------
