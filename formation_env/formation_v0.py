@@ -17,7 +17,7 @@ from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 
 from formation_env import faces
 from formation_env.arguments import Fixed, check_options, configured, limit, whole_seed
-from formation_env.checks import integer, refuse
+from formation_env.checks import integer, refuse, shown
 from formation_env.config import FormationConfig
 from formation_env.memory import ERROR, FAILED, REWARD, SEPARATION, SLOT, TERMS, Results
 from formation_env.simulation import Simulation, Snapshot, stream_key
@@ -181,7 +181,9 @@ class FormationParallelEnv(Fixed, ParallelEnv[str, Array, Array]):
         """The actions in the agents' order, in memory that the next call writes again."""
         if not isinstance(actions, dict) or actions.keys() != self._everyone:
             found = list(actions) if isinstance(actions, dict) else type(actions).__name__
-            raise ValueError(f"actions for {found}: expected one for each of {self.agents}")
+            raise ValueError(
+                f"actions for {shown(found)}: expected one for each of {shown(self.agents)}"
+            )
         rows, shape = self._actions, self._shape
         for agent, own, _, _ in self._places:
             action = actions[agent]

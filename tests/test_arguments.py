@@ -15,6 +15,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 
 from formation_env import configure, formation_v0
+from formation_env.checks import LONGEST
 from formation_env.env import FormationEnv
 from formation_env.vector import FormationVectorEnv
 
@@ -221,6 +222,18 @@ def test_an_action_is_an_array_of_numbers(action: Any) -> None:
     env.reset(seed=0)
     with pytest.raises(ValueError, match=r"^action .*expected"):
         env.step(action)
+
+
+@pytest.mark.parametrize("followers", [2, 300])
+@pytest.mark.parametrize(
+    "actions", [{}, {f"x{i}": 0 for i in range(1000)}, {"x" * 9999: 0}, [0] * 999], ids=len
+)
+def test_actions_of_the_wrong_agents_are_refused_in_few_words(followers: int, actions: Any) -> None:
+    env = formation_v0.parallel_env(scenario="swarm", followers=followers)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"expected one for each of .*follower_0") as caught:
+        env.step(actions)
+    assert len(str(caught.value)) <= LONGEST
 
 
 def spoiled(value: float) -> Any:
