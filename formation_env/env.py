@@ -105,15 +105,15 @@ class FormationEnv(Fixed, gym.Env[Observation, NDArray[np.float32]]):
     Terminates when a follower collides (two vehicles closer than 0.2 m), hits the floor faster than
     1 m/s or more than 60 degrees from level, or is lost (more than 10 m from its slot);
     `info["failure"]` says which. A leader that crashes, on a path that it cannot fly, ends the episode
-    as well. Truncates after `duration` (20 s; 40 s in `paper` and `experiment`), or earlier where
+    as well; then `failure` is 4 for every follower that did not fail itself. Truncates after `duration` (20 s; 40 s in `paper` and `experiment`), or earlier where
     `gym.make` is given `max_episode_steps`; `spec.max_episode_steps` says what holds.
 
     ## Arguments
 
     `scenario`: `"nominal"`, `"paper"`, `"experiment"`, `"agile"`, `"swarm"` (see
-    `formation_env.scenarios`), a `FormationConfig`, or a dictionary of one. `followers`: re-forms a named scenario with
-    that many. `render_mode`: `"human"`, `"rgb_array"` (needs the extra `render`) or None. Every field
-    of `FormationConfig` is a keyword: `offsets`, `trajectory`, `action`, `start`, `noise`, `vehicle`,
+    `formation_env.scenarios`), a `FormationConfig`, or a dictionary of one. `followers`: re-forms a
+    named scenario with that many. `render_mode`: `"human"` (needs a display), `"rgb_array"` or None;
+    both need the extra `render`. Every field of `FormationConfig` is a keyword: `offsets`, `trajectory`, `action`, `start`, `noise`, `vehicle`,
     `planner`, `tracker`, `reward`, `limits`, `duration`, `control_period`, `substeps`, ...
 
         gym.make("Formation-v0", scenario="paper", action="rates", followers=3)
@@ -121,8 +121,8 @@ class FormationEnv(Fixed, gym.Env[Observation, NDArray[np.float32]]):
     Raises `ValueError` naming the field where a value is impossible, `TypeError` for an unknown keyword.
     `config` holds what came of it and is fixed, as `render_mode` is.
 
-    `reset(seed=...)` takes a whole number from 0. `reset(options=...)` knows no options and refuses any;
-    the vector environment knows `reset_mask`, PettingZoo's none.
+    `reset(seed=...)` takes a whole number from 0. `reset(options=...)` refuses options that do not exist: the
+    vector environment has `reset_mask`, the other faces have none.
 
     ## Determinism
 
