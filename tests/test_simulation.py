@@ -87,7 +87,7 @@ def test_two_threads_that_step_come_to_an_end(
     """Each call steps, or says that another is at work: the ticks are those of the calls that stepped."""
     monkeypatch.setattr(simulation, "_VEHICLES_PER_THREAD", 1)
     monkeypatch.setattr(simulation, "cores", lambda: 4)
-    flight, stepped, odd = begun(256, threads=threads, duration=1e6), [0, 0], []
+    flight, stepped, odd = begun(256, threads=threads), [0, 0], []
     actions = still(flight)
 
     def job(k: int) -> None:
@@ -105,8 +105,8 @@ def test_two_threads_that_step_come_to_an_end(
         one.join(LONG)
         assert not one.is_alive(), "it hangs"
     assert all(LATE in text for text in odd)
-    assert stepped[0] + stepped[1] + len(odd) == 600
-    np.testing.assert_allclose(flight.time, sum(stepped) * flight.config.control_period)
+    assert sum(stepped) + len(odd) == 600
+    np.testing.assert_allclose(flight.time, sum(stepped) * 0.02)
     flight.close()
 
 
@@ -198,17 +198,8 @@ def test_an_exclusive_is_left_by_whoever_raises() -> None:
 # -- what it hands out is for reading ------------------------------------------------------------------------
 
 ARRAYS = [
-    "positions",
-    "leaders",
-    "velocities",
-    "attitudes",
-    "angular_velocities",
-    "slots",
-    "started",
-    "seeded",
-    "over",
-    "time",
-    "clock",
+    *("positions", "leaders", "velocities", "attitudes", "angular_velocities", "slots"),
+    *("started", "seeded", "over", "time", "clock"),
 ]
 
 
@@ -253,30 +244,33 @@ def test_a_reference_evaluated_is_the_one_tabulated(
     path: str, scenario: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Bit for bit, across the end of an episode and beyond the last row of the table."""
-    config = configure(scenario, trajectory=PATHS[path](), duration=1.0)
+    with warnings.catch_warnings():  # not all paths suit the formation
+        warnings.simplefilter("ignore")
+        config = configure(scenario, trajectory=PATHS[path](), duration=1.0)
     tabulated = Simulation(config, 3)
     monkeypatch.setattr(simulation, "TABULATED", 0)
     evaluated = Simulation(config, 3)
-    assert len(memory.views(tabulated._memory)[0].references) == 51
+    assert len(memory.views(tabulated._memory)[0].references) == config.max_steps + 1
     assert len(memory.views(evaluated._memory)[0].references) == 0
     for flight in (tabulated, evaluated):
         for world in range(3):
             flight.seed(world, world)
         flight.reset()
-        flight._state.counters[memory.STARTED] = 1
     for k, actions in enumerate(wild(140, *tabulated._shape) * np.float32(0.02)):
         mode = kernels.STEP_OR_RESET if k < 60 else kernels.STEP
+        for flight in (tabulated, evaluated):
+            flight._state.counters[memory.STARTED] = 1
         one, two = (flight.step(actions, mode) for flight in (tabulated, evaluated))
         assert one.observations.tobytes() == two.observations.tobytes(), k
         assert one.outputs.tobytes() == two.outputs.tobytes(), k
         assert tabulated.positions.tobytes() == evaluated.positions.tobytes(), k
-    assert tabulated.clock.max() > 1.5
+    assert tabulated.clock.max() > 1.2
 
 
 @pytest.mark.parametrize("duration", [1e9, MAX_TICKS * 0.02])
 def test_an_endless_episode_takes_no_more_memory(duration: float) -> None:
-    config = configure(duration=duration)
-    short = configure()
+    path = trajectories.line()
+    config, short = configure(duration=duration, trajectory=path), configure(trajectory=path)
     sizes = []
     for one in (short, config):
         Simulation(one, 4)
@@ -289,7 +283,7 @@ def test_an_endless_episode_takes_no_more_memory(duration: float) -> None:
     for world in range(4):
         flight.seed(world, world)
     flight.reset()
-    expected = begun(4)
+    expected = Simulation(short, 4)
     for world in range(4):
         expected.seed(world, world)
     expected.reset()

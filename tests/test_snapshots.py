@@ -44,7 +44,7 @@ def flown(task: str, worlds: int = 3, steps: int = 12) -> Simulation:
 
 def taken(flight: Simulation) -> None:
     """Its own state, by another one, which goes on alike."""
-    other = Simulation(flight.config, flight.num_worlds)
+    other = Simulation(flight.config, flight.num_worlds, 1, flight.max_steps)
     other.set_state(flight.get_state())
     for actions in wild(3, *flight._shape, seed=1):
         found, expected = other.step(actions), flight.step(actions)
