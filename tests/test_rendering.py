@@ -482,3 +482,11 @@ def test_of_a_long_path_a_piece_around_now_is_drawn(clock: float, duration: floa
     assert len(times) <= 2001 and (times <= duration).all() and times[0] >= 0.0
     assert times[0] <= clock
     assert times[-1] + 0.2 >= min(clock + 50.0, duration)
+
+
+def test_an_endless_episode_is_drawn() -> None:
+    env = FormationEnv(render_mode="rgb_array", duration=1e9)
+    env.reset(seed=0)
+    short = FormationEnv(render_mode="rgb_array", duration=200.0)
+    short.reset(seed=0)
+    assert np.array_equal(env.render(), short.render())
