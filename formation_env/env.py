@@ -105,8 +105,9 @@ class FormationEnv(Fixed, gym.Env[Observation, NDArray[np.float32]]):
     Terminates when a follower collides (two vehicles closer than 0.2 m), hits the floor faster than
     1 m/s or more than 60 degrees from level, or is lost (more than 10 m from its slot);
     `info["failure"]` says which. A leader that crashes, on a path that it cannot fly, ends the episode
-    as well; `failure` is then 4 for every follower and nobody pays. Truncates after `duration` (20 s; 40 s in `paper` and `experiment`), or earlier where
-    `gym.make` is given `max_episode_steps`; `spec.max_episode_steps` says what holds.
+    as well; `failure` is then 4 for each follower that has not failed itself, which costs it nothing.
+    Truncates after `duration` (20 s; 40 s in `paper` and `experiment`), or earlier where `gym.make` is
+    given `max_episode_steps`; `spec.max_episode_steps` says what holds.
 
     ## Arguments
 
