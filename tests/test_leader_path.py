@@ -84,12 +84,25 @@ def test_the_bounds_are_the_observations() -> None:
             {"follower_starts": ((0, 0, 0), (0, 1500, 0)), "start": "ground"},
             r"follower_starts\[1\] = \(0\.0, 1500\.0, 0\.0\): .*within 1000 m.* it is 1500 m away",
         ),
+        (
+            {"offsets": ((1.0, 900.0, 0.0), (1.0, -900.0, 0.0))},
+            r"offsets\[0\] = \[1\.0, 900\.0, 0\.0\]: .*within 1000 m.*one is 1800 m away; or fewer",
+        ),
     ],
 )
 def test_what_an_observation_would_clip_is_refused(options: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message) as caught:
         configure(**options)
     assert len(str(caught.value)) <= LONGEST
+
+
+def test_only_observed_neighbours_have_to_be_near() -> None:
+    wide = ((1.0, 900.0, 0.0), (1.0, -900.0, 0.0), (1.0, 0.0, 0.0))
+    calm = line((0.5, 0.0))
+    assert configure(offsets=wide, trajectory=calm, neighbours=1).neighbours == 1
+    assert configure(offsets=wide[:2], trajectory=calm, neighbours=0).neighbours == 0
+    with pytest.raises(ValueError, match=r"offsets\[0\] = .*its 2 nearest"):
+        configure(offsets=wide, trajectory=calm, neighbours=2)
 
 
 def test_only_the_configured_duration_counts() -> None:
@@ -116,7 +129,9 @@ def test_the_issues_way_points_are_warned_of() -> None:
 @pytest.mark.parametrize("actuation", ["moment", "rates"])
 def test_a_noisy_log_is_warned_of(noise: float, actuation: str) -> None:
     limit = "moment_max" if actuation == "moment" else "rate_max"
-    with pytest.warns(FlightWarning, match=rf"vehicle\.{limit}.*smooth a measured log") as caught:
+    with pytest.warns(
+        FlightWarning, match=rf"vehicle\.{limit}.*smooth a measured log or give fewer rows"
+    ) as caught:
         configure(trajectory=log(noise), duration=10.0, leader_actuation=actuation)
     assert all(len(str(one.message)) <= LONGEST for one in caught)
 
@@ -184,7 +199,7 @@ def test_the_warning_tells_what_the_leader_can_fly(curve: Trajectory, duration: 
             duration=duration,
             action="reference",
             start_offset=0.0,
-            limits=Limits(collision=1e-3, impact=1.0, tilt=0.5, lost=1e6),
+            limits=Limits(collision=1e-3, impact=1.0, tilt=0.5, lost=1e3),
         )
         apart, crashed = flown(config)
     warned = any(one.category is FlightWarning for one in caught)
