@@ -130,6 +130,7 @@ class FormationConfig:
             self.trajectory,
             self.duration,
             self.offsets,
+            self.neighbours,
             self.leader_start,
             self.follower_starts,
             self.vehicle,

@@ -3,64 +3,21 @@
 from __future__ import annotations
 
 import copy
-import json
 import pickle
-from collections.abc import Callable
 from itertools import pairwise
-from math import cos, inf, nan, pi, sin
-from typing import Any
+from math import cos, pi, sin
 
 import numpy as np
 import pytest
 from closed_loop import PROPERTY
 from hypothesis import given
 from hypothesis import strategies as st
+from paths import angles, closed_forms, heights, keys, paths, random_ones, sizes, speeds
 from scipy.special import ellipk, ellipkinc
 
 from formation_env import references, splines, trajectories
-from formation_env.checks import LONGEST
 from formation_env.references import Floats
-from formation_env.trajectories import Trajectory, as_trajectory
-
-sizes = st.floats(0.2, 5.0)
-speeds = st.floats(0.05, 3.0)
-heights = st.floats(0.5, 10.0)
-angles = st.floats(-7.0, 7.0)
-keys = st.integers(0, 2**64 - 1)
-coordinates = st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-9, -1))
-
-
-@st.composite
-def random_ones(draw: st.DrawFn) -> Trajectory:
-    speed, height = draw(speeds), draw(heights)
-    return trajectories.random_smooth(
-        speed,
-        draw(st.floats(0.0, 0.95)) * speed,
-        draw(st.floats(0.1, 5.0)),
-        height,
-        draw(st.floats(0.0, 0.95)) * height,
-        draw(st.integers(1, 5)),
-    )
-
-
-@st.composite
-def paths(draw: st.DrawFn) -> Trajectory:
-    """Way-points one to three seconds apart."""
-    count = draw(st.integers(2, 6))
-    gaps = draw(st.lists(st.floats(1.0, 3.0), min_size=count - 1, max_size=count - 1))
-    points = draw(st.lists(coordinates, min_size=count, max_size=count))
-    return splines.waypoints(np.cumsum([0.0, *gaps]), points)
-
-
-closed_forms = st.one_of(
-    st.builds(trajectories.figure_eight, st.tuples(sizes, sizes), st.floats(0.1, 1.0), heights),
-    st.builds(trajectories.lemniscate, sizes, speeds, heights, angles),
-    st.builds(trajectories.circle, sizes, speeds | st.floats(-3.0, -0.05), heights),
-    st.builds(trajectories.line, st.tuples(angles, angles), heights),
-    st.builds(trajectories.hover, coordinates),
-    st.builds(lambda curve, key: curve.drawn(key), random_ones(), keys),
-    paths(),
-)
+from formation_env.trajectories import Trajectory
 
 
 def slopes(curve: Trajectory, t: Floats) -> Floats:
@@ -333,110 +290,3 @@ def test_a_trajectory_owns_its_table() -> None:
     curve = Trajectory("mine", trajectories.SINES, table)
     table[3] = 9.0
     assert curve(0.0)[0, 2] == -1.5
-
-
-# -- as numbers, lists and names ----------------------------------------------------------------------
-
-anything = st.one_of(closed_forms, random_ones())
-
-
-@PROPERTY
-@given(anything)
-def test_a_trajectory_goes_through_json_exactly(curve: Trajectory) -> None:
-    data = json.loads(json.dumps(curve.to_dict(), allow_nan=False))
-    for again in (Trajectory.from_dict(data), as_trajectory("trajectory", data)):
-        assert again == curve  # every bit of the table
-        assert type(again.random) is type(curve.random)
-
-
-def test_a_log_goes_through_json_exactly() -> None:
-    t = np.linspace(0.0, 60.0, 6000)
-    log = np.stack([np.cos(t / 3.0), np.sin(t / 3.0), -1.5 - 0.1 * np.sin(t)], axis=1)
-    curve = splines.from_samples(t, log)
-    assert Trajectory.from_dict(json.loads(json.dumps(curve.to_dict()))) == curve
-
-
-def test_a_trajectory_by_its_name_and_arguments() -> None:
-    curve = trajectories.circle(2.0)
-    assert as_trajectory("trajectory", curve) is curve
-    assert as_trajectory("trajectory", {"path": "circle", "radius": 2}) == curve
-    for name in ("figure_eight", "lemniscate", "circle", "line", "hover", "random_smooth"):
-        assert as_trajectory("trajectory", name) == getattr(trajectories, name)()
-    given_ = {"path": "waypoints", "times": [0, 1], "points": POINTS}
-    assert as_trajectory("trajectory", given_) == splines.waypoints([0.0, 1.0], POINTS)
-
-
-@pytest.mark.parametrize(
-    ("value", "message"),
-    [
-        (7, r"path = 7: expected a Trajectory, one of 'figure_eight', "),
-        (None, r"path = None: expected a Trajectory"),
-        ({}, r"path = \{\}: expected a Trajectory"),
-        ([0.0] * 9999, r"path = list of 9999 entries, the first 0.0: expected a Trajectory"),
-        ("circel", r"path.path = 'circel': expected one of 'figure_eight', "),
-        ({"path": ["circle"]}, r"path.path = \['circle'\]: expected one of"),
-        ({"path": "circle", "radios": 2}, r"path.radios = 2: expected one of circle's radius, "),
-        ({"path": "circle", "radius": -2}, r"path.radius = -2: expected a finite number above 0"),
-        ({"path": "circle", "radius": "2"}, r"path.radius = '2': expected a finite number"),
-        ({"path": "waypoints", "times": [0, 1]}, r"path.points = None: expected an argument"),
-        ({"kind": "sines"}, r"path.name = None: expected an entry"),
-        ({"kind": "sines", "size": 2}, r"path.size = 2: expected one of name, kind, table"),
-        ({"name": "x", "kind": "sine", "table": [1.0]}, r"path.kind = 'sine': expected one of"),
-        ({"name": "x", "kind": 0, "table": [1.0]}, r"path.table = 1 numbers: expected 16"),
-    ],
-    ids=lambda x: repr(x)[:30],
-)
-def test_what_describes_no_trajectory(value: Any, message: str) -> None:
-    with pytest.raises(ValueError, match=f"^{message}") as caught:
-        as_trajectory("path", value)
-    assert len(str(caught.value)) <= LONGEST
-
-
-POINTS = [[0.0, 0.0, -1.0], [1.0, 0.0, -1.0]]
-BAD: list[tuple[str, Callable[[], object]]] = [
-    ("amplitude", lambda: trajectories.figure_eight((1.0, nan))),
-    ("amplitude", lambda: trajectories.figure_eight((1.0,))),  # type: ignore[arg-type]
-    ("rate", lambda: trajectories.figure_eight(rate=0.0)),
-    ("height", lambda: trajectories.figure_eight(height=-1.5)),
-    ("size", lambda: trajectories.lemniscate(0.0)),
-    ("speed", lambda: trajectories.lemniscate(speed=-0.5)),
-    ("turn", lambda: trajectories.lemniscate(turn=inf)),
-    ("radius", lambda: trajectories.circle(-1.0)),
-    ("speed", lambda: trajectories.circle(speed=0.0)),
-    ("centre", lambda: trajectories.circle(centre=(0.0, 0.0, 0.0))),  # type: ignore[arg-type]
-    ("velocity", lambda: trajectories.line("north")),  # type: ignore[arg-type]
-    ("start", lambda: trajectories.line(start=(inf, 0.0))),
-    ("position", lambda: trajectories.hover((0.0, 0.0, 1.0))),
-    ("position", lambda: trajectories.hover((0.0, 0.0, 0.0))),
-    ("speed", lambda: trajectories.random_smooth(speed=0.0)),
-    ("speed", lambda: trajectories.random_smooth(speed="fast")),  # type: ignore[arg-type]
-    ("variation", lambda: trajectories.random_smooth(1.0, 1.0)),
-    ("variation", lambda: trajectories.random_smooth(1.0, -0.1)),
-    ("acceleration", lambda: trajectories.random_smooth(acceleration=0.0)),
-    ("climb", lambda: trajectories.random_smooth(height=1.0, climb=1.0)),
-    ("climb", lambda: trajectories.random_smooth(climb=-0.1)),
-    ("harmonics", lambda: trajectories.random_smooth(harmonics=0)),
-    ("harmonics", lambda: trajectories.random_smooth(harmonics=1.5)),  # type: ignore[arg-type]
-    ("key", lambda: trajectories.random_smooth().drawn(-1)),
-    ("key", lambda: trajectories.random_smooth().drawn(2**64)),
-    ("trajectory", lambda: trajectories.random_smooth()(0.0)),
-    ("t", lambda: trajectories.hover()([0.0, nan])),
-    ("times", lambda: splines.waypoints([0.0], [[0.0, 0.0, -1.0]])),
-    ("times", lambda: splines.waypoints([0.0, 0.0], POINTS)),
-    ("times", lambda: splines.waypoints([1.0, 2.0], POINTS)),
-    ("times", lambda: splines.waypoints([0.0, inf], POINTS)),
-    ("times", lambda: splines.waypoints(["now", "then"], POINTS)),  # type: ignore[arg-type]
-    ("points", lambda: splines.waypoints([0.0, 1.0], POINTS[:1])),
-    ("points", lambda: splines.waypoints([0.0, 1.0], [[0.0, 0.0, -1.0], [nan, 0.0, -1.0]])),
-    ("points", lambda: splines.waypoints([0.0, 1.0], [[0.0, 0.0, -1.0], [1.0, 0.0, 0.1]])),
-    ("times", lambda: splines.from_samples(np.arange(7.0), -np.ones((7, 3)))),
-    ("duration", lambda: splines.from_function(lambda t: (0.0, 0.0, -1.0), inf)),
-    ("step", lambda: splines.from_function(lambda t: (0.0, 0.0, -1.0), 1.0, 0.0)),
-    (r"f\(0\)", lambda: splines.from_function(lambda t: (0.0, 0.0), 1.0)),
-]
-
-
-@pytest.mark.parametrize(("name", "make"), BAD)
-def test_a_bad_argument_is_named(name: str, make: Callable[[], object]) -> None:
-    with pytest.raises(ValueError, match=rf"^{name}(\[\d+\])? = .*: expected"):
-        make()
