@@ -21,7 +21,13 @@ def flown(*words: str, scenario: str = "nominal") -> dict[str, FormationConfig]:
 
 
 def test_fields_and_parts_of_fields() -> None:
-    words = ["vehicle.mass=0.12", "noise.position=0.1", "planner.k1=0.3", "gust=0.5", "action=rates"]
+    words = [
+        "vehicle.mass=0.12",
+        "noise.position=0.1",
+        "planner.k1=0.3",
+        "gust=0.5",
+        "action=rates",
+    ]
     (config,) = flown(*words, "neighbours=1", scenario="paper").values()
     usual = configure("paper", action="rates")
     assert config.vehicle.mass == 0.12 and config.noise.position == 0.1
@@ -83,7 +89,8 @@ def test_values_of_a_sweep(text: str, values: tuple[Any, ...]) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["gust", "gust=", "gust=0:1:1", "gust=0:x:3", "gust=0:inf:3", "gust=1,1", "gust=0:1:5000"]
+    "text",
+    ["gust", "gust=", "gust=0:1:1", "gust=0:x:3", "gust=0:inf:3", "gust=1,1", "gust=0:1:5000"],
 )
 def test_no_sweep(text: str) -> None:
     with pytest.raises(ValueError, match="expected"):
