@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from safetensors.numpy import save as serialise
 
 from baselines import evaluate as command
-from baselines.board import BEGIN, END
 from baselines import files, make_policy, registry
+from baselines.board import BEGIN, END
 from baselines.expert import Expert
 from baselines.files import Card, Network, load, save
 from baselines.learned import Learned, Misfit

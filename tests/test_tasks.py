@@ -45,7 +45,7 @@ def test_the_scenarios_own_vehicle_is_changed() -> None:
 
 def test_followers_and_offsets() -> None:
     assert flown("followers=5")["nominal"].followers == 5
-    assert flown("offsets=[[1, 0, 0]]")["nominal"].offsets == ((1.0, 0.0, 0.0),)
+    assert flown("offsets=[[0.3, 0, 0]]")["nominal"].offsets == ((0.3, 0.0, 0.0),)
     config = flown("followers=5", "noise.position=0.1")["nominal"]
     assert (config.followers, config.noise.position) == (5, 0.1)
 
