@@ -187,7 +187,7 @@ def test_the_checked_in_board_is_marked(root: Path) -> None:
     for name in ("README.md", "LEADERBOARD.md"):
         text = (root / name).read_text(encoding="utf-8")
         assert board.FLAWS in text and board.LEGEND in text, name
-        (row,) = (line for line in text.split("## nominal")[0].splitlines() if "| `ppo` |" in line)
+        (row,) = (line for line in text.split("## Remarks")[0].splitlines() if "| `ppo` |" in line)
         italics = [cell.strip().startswith("*") for cell in row.strip("| ").split(" | ")[1:]]
         trained = [s in ("nominal", "paper") for s in (n.split(":")[0] for n in command.SHOWN)]
         assert italics == [not t for t in trained], name
