@@ -19,10 +19,11 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Literal, final
 
+from baselines.pipes import until_closed
 from formation_env import FormationConfig, configure
-from train.command_line import check, fail, refuse, repeated
+from train.command_line import check, fail, refuse, repeated, wait_passively
 
-PROGRAM = "train.imitate"
+PROGRAM, SCRIPT = "train.imitate", "formation-train-imitate"
 
 
 @final
@@ -143,8 +144,10 @@ _REAL = {
 _IDLE = ("output", "tensorboard", "threads", "quiet")
 
 
+@until_closed
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
+    wait_passively()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # theirs, at import
@@ -155,7 +158,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return fail(
             PROGRAM, f'{problem.name} is not installed: pip install "formation-env[train]"', 2
         )
-    options = tyro.cli(Options, prog=f"python -m {PROGRAM}", description=__doc__, args=arguments)
+    options = tyro.cli(Options, prog=SCRIPT, args=arguments)
     try:
         course = Course(options)
     except ValueError as problem:

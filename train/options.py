@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
-from dataclasses import MISSING, asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from formation_env import FormationConfig, configure
-from train.command_line import check, flag, repeated
+from train.command_line import check, repeated
+from train.saved import defaults
 
 # Of the exploration at the start, by action level: about how far apart the actions are that matter.
 STD = {"wrench": 0.05, "rates": 0.05, "reference": 0.3}
@@ -96,8 +96,10 @@ class Options:
     """In an evaluation."""
     save_every: float = 1.0
     """Minutes between two checkpoints, which also follow every evaluation."""
-    threads: int = field(default_factory=lambda: os.cpu_count() or 1)
-    """At most so many."""
+    threads: int = 1
+    """Threads of PyTorch and of the simulation. Two gain about a sixth on a machine that does nothing
+    else, and lose where it does; give each of several runs side by side one. Another number of them
+    rounds otherwise."""
     profile: bool = False
     """Say at the end where the time went."""
     quiet: bool = False
@@ -160,40 +162,7 @@ def to_json(options: Options) -> dict[str, Any]:
     return {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
 
 
-def continued(saved: dict[str, Any], given: Options) -> Options:
-    """The options of a run to be continued: those saved with it, with the free ones as given.
-
-    Raises `ValueError` naming an option that is given otherwise than it was saved, or saved options
-    that are not these.
-    """
-    if set(saved) != {f.name for f in fields(Options)}:
-        raise ValueError("saved by another version of this command")
-    now, usual = to_json(given), _usual()
-    for name, value in now.items():
-        old = tuple(saved[name]) if isinstance(saved[name], list) else saved[name]
-        if name not in FREE and value not in (usual[name], old):
-            raise ValueError(
-                f"{flag(name)} {value}: the run was started with {old}, and goes on with that"
-            )
-    steps = saved["steps"] if given.steps == usual["steps"] else given.steps
-    together = {**saved, **{name: getattr(given, name) for name in FREE}, "steps": steps}
-    together["hidden"] = tuple(saved["hidden"])
-    together["init"] = None if saved["init"] is None else Path(saved["init"])
-    return Options(**together)
-
-
-def _usual() -> dict[str, Any]:
-    """The defaults by name."""
-    usual: dict[str, Any] = {"output": None}
-    for f in fields(Options):
-        if f.default is not MISSING:
-            usual[f.name] = f.default
-        elif f.default_factory is not MISSING:
-            usual[f.name] = f.default_factory()
-    return usual
-
-
 def command(options: Options) -> str:
     """The command that repeats a run, without what does not change its result."""
     idle = ("output", "resume", "profile", "quiet", "threads")
-    return repeated("train.ppo", to_json(options), _usual(), idle)
+    return repeated("train.ppo", to_json(options), defaults(Options), idle)

@@ -15,20 +15,22 @@ import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from train.command_line import fail, interruptions
+from baselines.pipes import until_closed
+from train.command_line import DIVERGED, diverged, fail, interruptions, wait_passively
 
 if TYPE_CHECKING:
     from train.options import Options
 
-PROGRAM = "train.ppo"
+PROGRAM, SCRIPT = "train.ppo", "formation-train-ppo"
 
 
+@until_closed
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
+    wait_passively()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # theirs, at import
-            import rich  # noqa: F401
             import tensorboard  # type: ignore[import-untyped]  # noqa: F401
             import tyro
 
@@ -41,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             PROGRAM, f'{problem.name} is not installed: pip install "formation-env[train]"', 2
         )
     try:
-        options = tyro.cli(Options, prog=f"python -m {PROGRAM}", args=arguments)
+        options = tyro.cli(Options, prog=SCRIPT, args=arguments)
         run = prepare(options)
     except ValueError as problem:
         return fail(PROGRAM, problem, 2)
@@ -60,6 +62,10 @@ def _train(run: Any, options: Options) -> int:
     except OSError as problem:
         where = f"{problem.filename}: " if problem.filename else ""
         return fail(PROGRAM, f"{where}{problem.strerror or problem}; earlier files are intact", 1)
+    except ValueError as problem:
+        if not diverged(problem):
+            raise
+        return fail(PROGRAM, f"{DIVERGED}; earlier files are intact", 1)
     if not options.quiet:
         print(run.summary())
     if options.profile:

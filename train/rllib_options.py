@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import MISSING, asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from formation_env import FormationConfig, configure
-from train.command_line import check, flag, repeated
+from train.command_line import check, repeated
 from train.options import STD
+from train.saved import defaults
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class Options:
     """Of everything that is drawn."""
     resume: bool = False
     """Continue the run in the output folder with the options that it was started with; of those given
-    here only steps, minutes, runners, address and quiet count."""
+    here only steps, minutes, runners, address, threads and quiet count."""
     critic: Literal["local", "central"] = "local"
     """What the critic sees: the follower's observation, or the world's true state too."""
 
@@ -73,6 +74,9 @@ class Options:
     """In an evaluation."""
     save_every: float = 1.0
     """Minutes between two checkpoints, which also follow every evaluation."""
+    threads: int = 1
+    """Threads of PyTorch in the learner; each runner has one. More help with large networks only, on a
+    machine that does nothing else."""
     quiet: bool = False
     """No progress bar, no lines but the errors."""
 
@@ -101,6 +105,7 @@ _WHOLE = {
     "epochs": (1, 1000),
     "evaluate_every": (1, 2**50),
     "episodes": (1, 100_000),
+    "threads": (1, 1024),
 }
 _REAL = {
     "minutes": (1e-9, 1e9),
@@ -115,14 +120,9 @@ _REAL = {
     "save_every": (0.0, 1e9),
 }
 # What a resumed run may change.
-FREE = ("steps", "minutes", "resume", "runners", "address", "quiet", "output")
+FREE = ("steps", "minutes", "resume", "runners", "address", "threads", "quiet", "output")
 # What changes no result, or only where it lies.
-_ASIDE = ("output", "resume", "address", "quiet")
-
-
-def _usual() -> dict[str, Any]:
-    """The defaults by name."""
-    return {f.name: None if f.default is MISSING else f.default for f in fields(Options)}
+_ASIDE = ("output", "resume", "address", "threads", "quiet")
 
 
 def to_json(options: Options) -> dict[str, Any]:
@@ -130,27 +130,6 @@ def to_json(options: Options) -> dict[str, Any]:
     return {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
 
 
-def continued(saved: dict[str, Any], given: Options) -> Options:
-    """The options of a run to be continued: those saved with it, with the free ones as given.
-
-    Raises `ValueError` naming an option that is given otherwise than it was saved, or saved options
-    that are not these.
-    """
-    usual = _usual()
-    if set(saved) != set(usual):
-        raise ValueError("saved by another command, or by another version of this one")
-    saved = {**saved, "hidden": tuple(saved["hidden"])}
-    for name, value in asdict(given).items():
-        if name not in FREE and value not in (usual[name], saved[name]):
-            raise ValueError(
-                f"{flag(name)} {value}: the run was started with {saved[name]}, and "
-                "goes on with that"
-            )
-    kept = {name: value for name, value in saved.items() if name not in FREE}
-    steps = saved["steps"] if given.steps == usual["steps"] else given.steps
-    return replace(given, steps=steps, **kept)
-
-
 def command(options: Options) -> str:
     """The command that repeats a run."""
-    return repeated("train.rllib", asdict(options), _usual(), _ASIDE)
+    return repeated("train.rllib", asdict(options), defaults(Options), _ASIDE)

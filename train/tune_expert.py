@@ -29,17 +29,19 @@ import numpy as np
 import formation_env
 from baselines import make_policy
 from baselines.intervals import Estimate
+from baselines.pipes import until_closed
 from baselines.policy import Policy
+from baselines.reading import read_bytes
 from baselines.rollout import fly_all
 from baselines.scoring import Result, judge
 from baselines.tuned import FEEDFORWARDS, VERSION, ExpertTuned, Gains, own, read
-from baselines.writing import write_text
+from baselines.writing import claim, write_text
 from formation_env import FormationConfig, configure
 from formation_env.checks import integer, number, require
 from train.gain_space import GainSpace
 from train.search import Candidate, Search, search
 
-PROGRAM = "train.tune_expert"
+PROGRAM, SCRIPT = "train.tune_expert", "formation-tune-expert"
 
 # First seeds. The leaderboard's are 0 to 99; at most `_MOST` episodes keep the three apart.
 TRAINING, VALIDATION, _MOST = 100_000, 200_000, 100_000
@@ -145,14 +147,14 @@ class Journal:
     def known(self) -> dict[str, list[float]]:
         """The values in the file. Raises `ValueError` if it is of another search."""
         try:
-            before = json.loads(self._path.read_text(encoding="utf-8"))
+            before = json.loads(read_bytes(self._path).decode("utf-8"))
             options, package, values = before["options"], before["package"], before["values"]
             known = {k: [float(x) for x in v] for k, v in values.items()}
         except OSError as problem:
             raise ValueError(
                 f"--resume: {self._path}: {problem.strerror}; expected a journal"
             ) from None
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             raise ValueError(f"--resume: {self._path} is not a journal of {PROGRAM}") from None
         now = json.loads(json.dumps({**self._head["options"], "package": self._head["package"]}))
         for name, value in {**options, "package": package}.items():
@@ -260,13 +262,20 @@ def tune(options: Options) -> Verdict:
     """The whole search. Raises `ValueError` for wrong options, before anything is written."""
     config, command = options.check(), command_of(options)
     path = options.output / f"{config.scenario}-{config.action}.json"
-    journal = Journal(path, options, config, command)
+    if options.gains is not None and options.gains.exists():
+        read(options.gains)
+    if options.resume:
+        Journal(path, options, config, command).known()  # refused before a folder is made
+    with claim(options.output):
+        return _searched(options, config, Journal(path, options, config, command), path)
+
+
+def _searched(options: Options, config: FormationConfig, journal: Journal, path: Path) -> Verdict:
+    """The search in a folder of its own, its journal and its entry in a file of gains."""
+    command = command_of(options)
     known = journal.known() if options.resume else {}
     if path.exists() and not options.resume:
         raise ValueError(f"{path} exists: expected --resume to go on with it, or another --output")
-    if options.gains is not None and options.gains.exists():
-        read(options.gains)
-    options.output.mkdir(parents=True, exist_ok=True)
     verdict = _run(options, config, journal, known)
     entry = {**verdict.gains.document(), "made": made(options, command, verdict)}
     journal.write(entry)
@@ -332,6 +341,7 @@ def _refuse(message: object) -> NoReturn:
     raise SystemExit(2)
 
 
+@until_closed
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
     try:
@@ -340,7 +350,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ImportError as problem:
         _refuse(f'{problem.name} is missing: pip install "formation-env[train]"')
     words = list(sys.argv[1:] if arguments is None else arguments)
-    options = tyro.cli(Options, args=words, prog=PROGRAM, description=__doc__)
+    options = tyro.cli(Options, args=words, prog=SCRIPT)
     try:
         verdict = tune(options)
     except ValueError as problem:
