@@ -30,7 +30,7 @@ from train.export import adopt, hidden_sizes, network
 from train.networks import FollowerPolicy, Spread
 from train.options import FINE, FREE, STD, Options, command, to_json
 from train.progress import Progress
-from train.saved import Arrays, continued, fact, group, past, require_finite, take, take_like
+from train.saved import Arrays, continued, fact, past, take, take_like
 from train.scales import CLIP, fixed_scales, state_scales
 from train.vec import FollowerVecEnv
 
@@ -176,10 +176,8 @@ class Run:
         seen = (self.env.num_envs, *(self.env.observation_space.shape or ()))
         last = take(arrays, "last/obs", seen, np.float32)
         starts = take(arrays, "last/starts", seen[:1], np.bool_)
-        worlds = group(arrays, "environment")
-        for name, x in worlds.items():
-            require_finite(f"environment/{name}", x)
-        self.env.set_state(worlds)
+        self.env.reset()  # for what a state of it is made of
+        self.env.set_state(take_like(arrays, "environment", self.env.get_state()))
         self.policy.load_state_dict({k: torch.from_numpy(v.copy()) for k, v in weights.items()})
         checkpoint.restore_optimiser(self.policy.optimizer, arrays)
         files.check(*self.made())
