@@ -5,7 +5,8 @@ trained from scratch for the same number of processor minutes on one core and sc
 seeds: `train.ppo`'s perceptron with its last 1, 4 and 8 observations, and sb3-contrib's RecurrentPPO,
 whose actor and critic each have an LSTM and see one observation. All have hidden layers of 64, the same
 environment, exploration, discounts and inputs. Processor time and not wall time is counted, so that what
-else the machine does hardly matters. Needs the `train` extra and `pip install sb3-contrib`.
+else the machine does hardly matters, and PyTorch has one thread. Needs the `train` extra and
+`pip install sb3-contrib`.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from math import isfinite, log
 from pathlib import Path
 from time import process_time
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+from train.command_line import wait_passively
 
 if TYPE_CHECKING:
     from train.options import Options
@@ -233,6 +236,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--seeds", type=_count, default=1, help="runs of each (default: %(default)s)")
     add("--episodes", type=_count, default=32, help="to score each (default: %(default)s)")
     given = parser.parse_args(arguments)
+    wait_passively()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # theirs, at import
         try:

@@ -11,6 +11,7 @@ from typing import Any, final
 
 import numpy as np
 import torch
+from baselines.progress import compiling
 
 import formation_env
 from baselines import files, make_policy
@@ -41,7 +42,8 @@ class Course:
         self.options, self.config = options, config
         self._claim = _claimed(options)
         try:
-            self._prepare()
+            with compiling(options.quiet):
+                self._prepare()
         except BaseException:
             self._claim.release()
             raise
@@ -85,7 +87,8 @@ class Course:
         from tqdm import trange
 
         o = self.options
-        judge = Judge(self.config, o.episodes)  # flies, so compiles, before the bar counts time
+        with compiling(o.quiet):  # before the bar counts time
+            judge = Judge(self.config, o.episodes)
         self._begun = perf_counter()
         with _board(o) as board, trange(o.rounds, disable=o.quiet, unit=" rounds") as bar:
             for number in bar:

@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Literal, final
 
-from baselines.pipes import until_closed
+from baselines import console
 from formation_env import FormationConfig, configure
 from train.command_line import check, fail, refuse, repeated, wait_passively
 
@@ -144,7 +144,7 @@ _REAL = {
 _IDLE = ("output", "tensorboard", "threads", "quiet")
 
 
-@until_closed
+@console.command
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
     wait_passively()
@@ -175,7 +175,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return fail(PROGRAM, f"interrupted: {course.summary()}", 130)
     if not options.quiet:
-        print(course.summary())
+        console.say(course.summary())
     return 0
 
 

@@ -14,6 +14,7 @@ from typing import Any, final
 
 import numpy as np
 import torch
+from baselines.progress import compiling
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure as configure_logger
@@ -196,7 +197,9 @@ class Run:
 
     def train(self, stop: Callable[[], bool] = lambda: False) -> None:
         """Train to the limit, or until `stop` says so between two updates; then the folder is released."""
-        o, judge = self.options, self.judge  # compiles before the bar counts time
+        o = self.options
+        with compiling(o.quiet):
+            judge = self.judge
         bar = Progress(o.steps, o.minutes, o.quiet)
         self._keeper = Keeper(
             o.output,

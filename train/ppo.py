@@ -15,7 +15,7 @@ import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from baselines.pipes import until_closed
+from baselines import console
 from train.command_line import DIVERGED, diverged, fail, interruptions, wait_passively
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 PROGRAM, SCRIPT = "train.ppo", "formation-train-ppo"
 
 
-@until_closed
+@console.command
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
     wait_passively()
@@ -67,9 +67,9 @@ def _train(run: Any, options: Options) -> int:
             raise
         return fail(PROGRAM, f"{DIVERGED}; earlier files are intact", 1)
     if not options.quiet:
-        print(run.summary())
+        console.say(run.summary())
     if options.profile:
-        print(run.profile())
+        console.say(run.profile())
     if asked():
         print(
             f"interrupted: saved; continue with --resume --output {options.output}", file=sys.stderr

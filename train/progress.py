@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import final
 
+from baselines.console import Lenient
 from tqdm import tqdm
 
 from train.evaluation import Row
@@ -44,7 +45,13 @@ class Progress:
         part = part_done(steps, minutes, *self._limits)
         if self._bar is None:
             self._bar = tqdm(
-                total=1.0, initial=part, bar_format=_FORMAT, disable=self._quiet, miniters=0
+                total=1.0,
+                initial=part,
+                bar_format=_FORMAT,
+                disable=self._quiet,
+                miniters=0,
+                file=Lenient(),
+                dynamic_ncols=True,
             )
         self._bar.set_description_str(described(steps, minutes, *self._limits, rows), refresh=False)
         self._bar.update(part - self._bar.n)

@@ -18,8 +18,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from baselines import cluster
-from baselines.pipes import until_closed
+from baselines import cluster, console
 from train.command_line import fail, interruptions, wait_passively
 
 if TYPE_CHECKING:
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 PROGRAM, SCRIPT = "train.rllib", "formation-train-rllib"
 
 
-@until_closed
+@console.command
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
     wait_passively()
@@ -98,7 +97,7 @@ def _train(ray: Any, options: Options, saved: Saved | None) -> int:
     finally:
         run.close()
     if not options.quiet:
-        print(run.summary())
+        console.say(run.summary())
     if asked():
         print(
             f"interrupted: saved; continue with --resume --output {options.output}", file=sys.stderr

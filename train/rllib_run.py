@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 import torch
+from baselines.progress import compiling
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core import DEFAULT_MODULE_ID
 from ray.rllib.core.rl_module.rl_module import RLModuleSpec
@@ -133,7 +134,8 @@ class Run:
     def __init__(self, options: Options, saved: Saved | None) -> None:
         self.options = options
         torch.set_num_threads(options.threads)
-        self._judge = Judge(options.config(), options.episodes)  # flies, so compiles
+        with compiling(options.quiet):
+            self._judge = Judge(options.config(), options.episodes)
         before = Past(0, 0.0, 0, []) if saved is None else saved.past
         self._before = self.steps = before.steps
         self._earlier, self._next, self.rows = before.minutes, before.next_evaluation, before.rows

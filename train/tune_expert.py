@@ -25,11 +25,11 @@ from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, final
 
 import numpy as np
+from baselines.progress import compiling
 
 import formation_env
-from baselines import make_policy
+from baselines import console, make_policy
 from baselines.intervals import Estimate
-from baselines.pipes import until_closed
 from baselines.policy import Policy
 from baselines.reading import read_bytes
 from baselines.rollout import fly_all
@@ -293,7 +293,9 @@ def _run(
     seeds = range(TRAINING, TRAINING + options.episodes)
     share = max(1, options.evaluations // len(choices))
     # Before many threads do so at once: the first flight compiles, and the own gains must fly.
-    fly_all(make_policy("expert", config), range(TRAINING, TRAINING + 1))
+    with compiling(options.quiet):
+        hover = _return(make_policy("hover", config), seeds)
+        own_return = _return(make_policy("expert", config), seeds)
     with (
         ThreadPoolExecutor(options.threads, thread_name_prefix="tune") as pool,
         tqdm(total=share * len(choices), disable=options.quiet, unit=" candidates") as bar,
@@ -307,7 +309,9 @@ def _run(
         def told(feedforward: str, generation: Sequence[Candidate]) -> None:
             journal.add(feedforward, generation)
             bar.update(len(generation))
-            bar.set_postfix({feedforward: f"{journal.best(feedforward, 1)[0].value:.4f}"})
+            best = journal.best(feedforward, 1)[0].value
+            score = (best - hover) / (own_return - hover) if own_return != hover else float("nan")
+            bar.set_description_str(f"{feedforward}: score {score:.3f}", refresh=False)
 
         try:
             for choice in choices:
@@ -341,7 +345,7 @@ def _refuse(message: object) -> NoReturn:
     raise SystemExit(2)
 
 
-@until_closed
+@console.command
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
     try:
@@ -362,9 +366,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("interrupted: --resume goes on where the journal ends", file=sys.stderr)
         return 130
     score, gain = verdict.result.score, verdict.result.differences["return"]
-    print(f"score {score.value:.3f} ({score.low:.3f} .. {score.high:.3f}) on validation seeds, ")
-    print(f"return {gain.value:+.4f} ({gain.low:+.4f} .. {gain.high:+.4f}) beside the expert's")
-    print(json.dumps(verdict.gains.document(), indent=1))
+    console.say(
+        f"score {score.value:.3f} ({score.low:.3f} .. {score.high:.3f}) on validation seeds, "
+    )
+    console.say(
+        f"return {gain.value:+.4f} ({gain.low:+.4f} .. {gain.high:+.4f}) beside the expert's"
+    )
+    console.say(json.dumps(verdict.gains.document(), indent=1))
     return 0
 
 
