@@ -11,10 +11,10 @@ from typing import Any, final
 
 import numpy as np
 import torch
-from baselines.progress import compiling
 
 import formation_env
 from baselines import files, make_policy
+from baselines.progress import compiling
 from baselines.writing import Claim, claim
 from train.checkpoint import write
 from train.cloning import Clone, Flight, Memory

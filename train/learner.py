@@ -14,7 +14,6 @@ from typing import Any, final
 
 import numpy as np
 import torch
-from baselines.progress import compiling
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure as configure_logger
@@ -22,6 +21,7 @@ from stable_baselines3.common.logger import configure as configure_logger
 import formation_env
 from baselines import files
 from baselines.files import Card, Network
+from baselines.progress import compiling
 from baselines.writing import Claim, claim
 from formation_env.checks import integer, number, require
 from train import checkpoint

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import final
 
-from baselines.console import Lenient
 from tqdm import tqdm
 
+from baselines.console import Lenient
 from train.evaluation import Row
 
 _FORMAT = "{percentage:3.0f} %|{bar}| {desc} [{elapsed}, {remaining} left]"
@@ -59,5 +59,4 @@ class Progress:
     def close(self) -> None:
         """Leave the bar as it is."""
         if self._bar is not None:
-            self._bar.refresh()
             self._bar.close()

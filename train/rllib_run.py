@@ -10,7 +10,6 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 import torch
-from baselines.progress import compiling
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core import DEFAULT_MODULE_ID
 from ray.rllib.core.rl_module.rl_module import RLModuleSpec
@@ -19,6 +18,7 @@ from ray.tune.registry import register_env
 import formation_env
 from baselines import files
 from baselines.files import Card, Network
+from baselines.progress import compiling
 from baselines.writing import Claim, claim
 from train import checkpoint
 from train.evaluation import Judge, line, to_csv

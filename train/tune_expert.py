@@ -25,12 +25,12 @@ from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, final
 
 import numpy as np
-from baselines.progress import compiling
 
 import formation_env
 from baselines import console, make_policy
 from baselines.intervals import Estimate
 from baselines.policy import Policy
+from baselines.progress import compiling
 from baselines.reading import read_bytes
 from baselines.rollout import fly_all
 from baselines.scoring import Result, judge
