@@ -1,4 +1,4 @@
-"""The paper's simulations redone: `python -m baselines.paper --out DIR`.
+"""The paper's simulations redone: `formation-paper --out DIR`, or `python -m baselines.paper`.
 
 Writes `figNN.png` and `figNN.csv` for figures 2 to 9 and 11 to 14 and `summary.json`, and prints each
 claim of the text beside what was measured. Figures 2 to 5 integrate the closed loop as one
@@ -18,6 +18,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from baselines import console
 from baselines.reproduction import continuous, sampled, tables
 from baselines.reproduction.claims import Claim, Cost, claim_table, cost_table
 from baselines.reproduction.claims_continuous import flight_claims, planar_claims
@@ -157,10 +158,17 @@ def _seed(text: str) -> int:
 
 def _arguments(argv: Sequence[str] | None) -> tuple[argparse.ArgumentParser, argparse.Namespace]:
     parser = argparse.ArgumentParser(
-        prog="python -m baselines.paper",
+        prog="formation-paper",
         description="Redo the paper's figures and measure its claims.",
+        allow_abbrev=False,
     )
-    parser.add_argument("--out", type=Path, default=Path("results/paper"), help="output folder")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("results/paper"),
+        metavar="DIR",
+        help="folder for pictures, tables and summary.json (default: results/paper)",
+    )
     parser.add_argument(
         "--figures",
         type=int,
@@ -168,18 +176,29 @@ def _arguments(argv: Sequence[str] | None) -> tuple[argparse.ArgumentParser, arg
         choices=FIGURES,
         default=FIGURES,
         metavar="N",
-        help="some figures only (2 to 9, 11 to 14)",
+        help="numbers of the figures to redo, of 2 to 9 and 11 to 14 (default: all)",
     )
-    parser.add_argument("--seed", type=_seed, default=0, help="seed of the run that is drawn")
     parser.add_argument(
-        "--seeds", type=_positive, default=20, help="runs that claims about noise are measured on"
+        "--seed",
+        type=_seed,
+        default=0,
+        metavar="N",
+        help="seed of the run that is drawn (default: 0)",
     )
-    parser.add_argument("--no-plots", action="store_true", help="write numbers only")
+    parser.add_argument(
+        "--seeds",
+        type=_positive,
+        default=20,
+        metavar="N",
+        help="number of runs that claims about noise are measured on (default: 20)",
+    )
+    parser.add_argument("--no-plots", action="store_true", help="write tables and numbers only")
     return parser, parser.parse_args(argv)
 
 
-def main(argv: Sequence[str] | None = None) -> None:
-    """Entry point of `formation-paper`; ends with one line on standard error if it cannot go on."""
+@console.command
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command; returns its exit status. One line on standard error says why it cannot go on."""
     parser, args = _arguments(argv)
     if not args.no_plots and importlib.util.find_spec("matplotlib") is None:
         parser.error(
@@ -195,11 +214,12 @@ def main(argv: Sequence[str] | None = None) -> None:
             )
         except OSError as error:
             parser.exit(1, f"{parser.prog}: error: cannot write to {args.out}: {error}\n")
-    print(claim_table(claims))
+    console.say(claim_table(claims))
     if costs:
-        print("\n" + cost_table(costs))
-    print(f"\nWritten to {args.out}.")
+        console.say("\n" + cost_table(costs))
+    console.say(f"\nWritten to {args.out}.")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -21,6 +21,7 @@ from pathlib import Path
 from time import process_time
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from baselines import console
 from train.command_line import wait_passively
 
 if TYPE_CHECKING:
@@ -223,18 +224,35 @@ def _count(text: str) -> int:
     return int(text)
 
 
+@console.command
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status."""
     parser = argparse.ArgumentParser(
         prog="benchmarks.recurrence",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        description="Compare memories against measurement noise: the last 1, 4 and 8 observations "
+        "with PPO, and an LSTM with RecurrentPPO, trained for the same processor time on one thread "
+        "and scored on the same episodes.",
         allow_abbrev=False,
     )
     add = parser.add_argument
-    add("--minutes", type=_minutes, default=4.0, help="for each policy (default: %(default)s)")
-    add("--seeds", type=_count, default=1, help="runs of each (default: %(default)s)")
-    add("--episodes", type=_count, default=32, help="to score each (default: %(default)s)")
+    add(
+        "--minutes",
+        type=_minutes,
+        default=4.0,
+        help="processor time for each policy, in minutes (default: %(default)s)",
+    )
+    add(
+        "--seeds",
+        type=_count,
+        default=1,
+        help="number of runs of each policy (default: %(default)s)",
+    )
+    add(
+        "--episodes",
+        type=_count,
+        default=32,
+        help="number of episodes that score each policy (default: %(default)s)",
+    )
     given = parser.parse_args(arguments)
     wait_passively()
     with warnings.catch_warnings():

@@ -44,6 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
     try:
         options = tyro.cli(Options, prog=SCRIPT, args=arguments)
+    except ValueError as problem:
+        return fail(PROGRAM, problem, 2)
+    try:
         run = prepare(options)
     except ValueError as problem:
         return fail(PROGRAM, problem, 2)

@@ -53,36 +53,40 @@ _EVERY = 5.0  # s between two writings of the journal
 @final
 @dataclass(frozen=True)
 class Options:
-    """Find gains for the paper's laws on the training seeds of a scenario."""
+    """Search gains for the paper's laws with CMA-ES, on seeds of its own.
+
+    Results do not depend on the number of threads.
+    """
 
     scenario: str = "nominal"
-    """Where the followers fly."""
+    """Name of the scenario that gains are searched for: nominal, paper, experiment, agile or swarm."""
     action: str | None = None
-    """Action level: wrench, rates or reference (by default the scenario's own)."""
+    """Action level: wrench, rates or reference; by default the scenario's own."""
     feedforward: str = "both"
-    """Third and fourth derivatives of the reference: zero, derived, or both tried."""
+    """How the third and fourth derivatives of the reference are taken: zero, derived, or both tried."""
     episodes: int = 64
-    """Training seeds, the same for every candidate."""
+    """Number of training episodes that every candidate flies, of the same seeds."""
     evaluations: int = 2000
-    """Candidates flown in all, shared between what is tried of feedforward."""
+    """Number of candidates in all, shared out evenly where both feedforwards are tried."""
     validation: int = 256
-    """Validation seeds."""
+    """Number of validation episodes, on which the best candidates are compared."""
     finalists: int = 8
-    """Candidates that fly them, of each feedforward."""
+    """Number of candidates of each feedforward that fly the validation episodes."""
     spread: float = 0.5
-    """Standard deviation of the first candidates around the own gains; 1 is a factor of e."""
+    """Standard deviation of the first candidates about the own gains, in the logarithm of a gain.
+    1 is a factor of e."""
     seed: int = 1
-    """Of the search."""
+    """Seed of the search."""
     output: Path = field(default_factory=lambda: Path("runs/tune"))
-    """Folder for the journal."""
+    """Folder for the journal, SCENARIO-ACTION.json; made if it is not there."""
     gains: Path | None = None
-    """A file of gains that takes up the result, such as baselines/tuned_gains.json."""
+    """File of gains that takes up the result, such as baselines/tuned_gains.json; by default none."""
     resume: bool = False
-    """Go on with the journal that is there."""
+    """Go on with the journal that is in the output folder."""
     threads: int = field(default_factory=lambda: os.cpu_count() or 1)
-    """Candidates flown at a time."""
+    """Number of candidates that are flown at a time, a thread each; by default one for each core."""
     quiet: bool = False
-    """No progress bar."""
+    """Print no progress bar."""
 
     def check(self) -> FormationConfig:
         """The configuration searched. Raises `ValueError` naming the option that is wrong."""
