@@ -65,8 +65,8 @@ def test_every_option_is_a_phrase(
     module: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It begins with what the value is, ends with a stop, and the default follows."""
-    lines = [line.strip("│ ") for line in helped(module, capsys, monkeypatch) if "│" in line]
-    text = " ".join(lines)
+    lines = helped(module, capsys, monkeypatch)
+    text = " ".join(line.strip("│| ") for line in lines[1:] if line[:3].strip() in ("", "│", "|"))
     options = re.split(r"(?:^|(?<=\)) )(?=--[a-z-]+)", text)[1:]
     assert len(options) > 10
     for option in options:

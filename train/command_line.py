@@ -6,12 +6,15 @@ import os
 import shlex
 import signal
 import sys
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from math import isfinite
-from typing import Any
+from typing import Any, TypeVar
 
+from baselines import console
 from formation_env import SCENARIOS
+
+T = TypeVar("T")
 
 
 def flag(name: str) -> str:
@@ -22,6 +25,17 @@ def flag(name: str) -> str:
 def refuse(name: str, value: object, expected: str) -> None:
     """Raise the `ValueError` that names an option, its value and what was expected."""
     raise ValueError(f"{flag(name)} {value}: expected {expected}")
+
+
+def read(kinds: type[T], script: str, arguments: Sequence[str] | None) -> T:
+    """The options of a command line. Raises `ValueError` for an impossible one, `SystemExit` after help."""
+    import tyro
+
+    try:
+        given: T = tyro.cli(kinds, prog=script, args=arguments)
+    except BrokenPipeError as problem:  # whoever read the help has gone
+        raise console.Unprintable from problem
+    return given
 
 
 def check(

@@ -21,7 +21,7 @@ from typing import Literal, final
 
 from baselines import console
 from formation_env import FormationConfig, configure
-from train.command_line import check, fail, refuse, repeated, wait_passively
+from train.command_line import check, fail, read, refuse, repeated, wait_passively
 
 PROGRAM, SCRIPT = "train.imitate", "formation-train-imitate"
 
@@ -156,14 +156,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # theirs, at import
-            import tyro
+            import tyro  # noqa: F401
 
             from train.course import Course
     except ModuleNotFoundError as problem:
         return fail(
             PROGRAM, f'{problem.name} is not installed: pip install "formation-env[train]"', 2
         )
-    options = tyro.cli(Options, prog=SCRIPT, args=arguments)
+    options = read(Options, SCRIPT, arguments)
     try:
         course = Course(options)
     except ValueError as problem:

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from baselines import console
-from train.command_line import DIVERGED, diverged, fail, interruptions, wait_passively
+from train.command_line import DIVERGED, diverged, fail, interruptions, read, wait_passively
 
 if TYPE_CHECKING:
     from train.options import Options
@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # theirs, at import
             import tensorboard  # type: ignore[import-untyped]  # noqa: F401
-            import tyro
+            import tyro  # noqa: F401
 
             from train.learner import prepare
             from train.options import Options
@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             PROGRAM, f'{problem.name} is not installed: pip install "formation-env[train]"', 2
         )
     try:
-        options = tyro.cli(Options, prog=SCRIPT, args=arguments)
+        options = read(Options, SCRIPT, arguments)
     except ValueError as problem:
         return fail(PROGRAM, problem, 2)
     try:

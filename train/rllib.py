@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from baselines import cluster, console
-from train.command_line import fail, interruptions, wait_passively
+from train.command_line import fail, interruptions, read, wait_passively
 
 if TYPE_CHECKING:
     from train.rllib_options import Options
@@ -35,11 +35,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # theirs, at import
-            import tyro
+            import tyro  # noqa: F401
 
             from train.rllib_options import Options
 
-            options = tyro.cli(Options, prog=SCRIPT, args=arguments)  # its help needs no Ray
+            options = read(Options, SCRIPT, arguments)  # its help needs no Ray
             cluster.load_ray()
 
             from train.rllib_run import prepare

@@ -38,6 +38,7 @@ from baselines.tuned import FEEDFORWARDS, VERSION, ExpertTuned, Gains, own, read
 from baselines.writing import claim, write_text
 from formation_env import FormationConfig, configure
 from formation_env.checks import integer, number, require
+from train.command_line import read as read_options
 from train.gain_space import GainSpace
 from train.search import Candidate, Search, search
 
@@ -354,11 +355,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
     try:
         import cma  # noqa: F401  # its absence is better known now than after compiling
-        import tyro
+        import tyro  # noqa: F401
     except ImportError as problem:
         _refuse(f'{problem.name} is missing: pip install "formation-env[train]"')
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    options = tyro.cli(Options, args=words, prog=SCRIPT)
+    options = read_options(Options, SCRIPT, arguments)
     try:
         verdict = tune(options)
     except ValueError as problem:
