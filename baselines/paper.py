@@ -1,4 +1,4 @@
-"""The paper's simulations redone: `python -m baselines.paper --out DIR`.
+"""The paper's simulations redone: `formation-paper --out DIR`, or `python -m baselines.paper`.
 
 Writes `figNN.png` and `figNN.csv` for figures 2 to 9 and 11 to 14 and `summary.json`, and prints each
 claim of the text beside what was measured. Figures 2 to 5 integrate the closed loop as one
