@@ -261,7 +261,8 @@ def _print(
     console.say(terminal.summary(result))
     if _texts(told):
         console.say("\n" + "\n".join(map(terminal.wrapped, _texts(told))))
-    console.say(f"\nintervals, all metrics and remarks: {', '.join(map(str, written))}")
+    files = ", ".join(map(str, written))
+    console.say("\n" + terminal.wrapped(f"intervals, all metrics and remarks: {files}"))
 
 
 @final

@@ -263,7 +263,8 @@ def test_warnings_come_once_and_last(
     shown = capsys.readouterr()
     assert shown.out.count("warning: gains of another scenario") == 1
     assert "gains of another" not in shown.err
-    assert shown.out.splitlines()[-1].startswith("intervals, all metrics and remarks: ")
+    last = shown.out.split("\n\n")[-1]
+    assert last.startswith("intervals, all metrics and remarks:") and "results.md" in last
 
 
 @pytest.mark.parametrize("early", [True, False])
