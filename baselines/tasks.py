@@ -22,6 +22,7 @@ from baselines.reading import read_json
 from formation_env import SCENARIOS, FormationConfig, configure
 from formation_env.checks import shown
 from formation_env.config import LEVELS
+from formation_env.trajectories import Trajectory
 
 MOST = 1000  # tasks
 
@@ -178,6 +179,10 @@ def _with_part(name: str, whole: Any, inner: Sequence[str], value: Any) -> Any:
     known: tuple[str, ...] = getattr(whole, "_fields", ()) or tuple(
         getattr(whole, "__dataclass_fields__", ())
     )
+    if isinstance(
+        whole, Trajectory
+    ):  # its parts are numbers of a table, not what a user calls it by
+        known = ()
     if first not in known:
         expected = f"one of {', '.join(known)}" if known else f"{name} to be set as a whole"
         raise ValueError(f"{name}.{first} = {shown(value)}: expected {expected}")

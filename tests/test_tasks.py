@@ -66,6 +66,7 @@ def test_followers_and_offsets() -> None:
         ("vehicle.mass=-1", "mass = -1"),
         ("gust.x=1", "gust.x = 1: expected gust to be set as a whole"),
         ("vehicle.mass.x=1", "vehicle.mass.x = 1: expected vehicle.mass to be set as a whole"),
+        ("trajectory.radius=3", "trajectory.radius = 3: expected trajectory to be set as a whole"),
         ("duration=1e400", "duration = inf: expected"),
     ],
 )
