@@ -1,6 +1,20 @@
 """Policies to compare with, their evaluation, and the paper's figures redone."""
 
+from typing import TYPE_CHECKING, Any
+
 from baselines.policy import Policy
 from baselines.registry import METHODS, POLICIES, make_policy
 
-__all__ = ["METHODS", "POLICIES", "Policy", "make_policy"]
+if TYPE_CHECKING:
+    from baselines.evaluate import evaluate as evaluate
+
+__all__ = ["METHODS", "POLICIES", "Policy", "evaluate", "make_policy"]
+
+
+def __getattr__(name: str) -> Any:
+    # Later, because `python -m baselines.evaluate` runs the module anew; importing it sets the attribute.
+    if name == "evaluate":
+        import importlib
+
+        return importlib.import_module("baselines.evaluate")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

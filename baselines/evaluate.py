@@ -1,12 +1,13 @@
 """Score policies on scenarios: `python -m baselines.evaluate`, or `formation-evaluate`.
 
-Policies are named, or are files (see `baselines.files`). Each flies the same episodes: world i of a
-scenario has the seed `seed + i`, as `gym.make(...).reset(seed=seed + i)` has. Hover and the expert always
-fly, because they are the 0 and the 1 of the score. Results do not depend on the number of threads, nor
-on whether the episodes are shared out over a Ray cluster (`--ray`).
+Policies are named, or are files (see `baselines.files`), or your own code (`baselines.own`). Each flies the
+same episodes: world i of a scenario has the seed `seed + i`, as `gym.make(...).reset(seed=seed + i)` has.
+Hover and the expert always fly, because they are the 0 and the 1 of the score. Results do not depend on the
+number of threads, nor on whether the episodes are shared out over a Ray cluster (`--ray`).
 
-Prints a table and writes `results.json` (layout: see `baselines.report`) and `results.md` into the
-output folder. `--leaderboard` also writes `LEADERBOARD.md` and the README's extract of it.
+Writes the full report, `results.json` (layout: see `baselines.report`) and `results.md`, into the output
+folder, then prints scores and failures. `--leaderboard` also writes `LEADERBOARD.md` and the README's
+extract of it. From Python the same is `baselines.evaluate(policies, scenarios)`: this module can be called.
 """
 
 from __future__ import annotations
@@ -15,268 +16,265 @@ import argparse
 import os
 import shlex
 import sys
-import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+import traceback
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from functools import partial
-from math import isfinite
 from pathlib import Path
-from typing import Any, NoReturn, final
+from types import ModuleType
+from typing import Any, final
 
-import formation_env
-from baselines import cluster, report
-from baselines.explanations import explanations
-from baselines.files import SUFFIX
-from baselines.registry import METHODS, POLICIES, available, is_policy
-from baselines.scoring import EPISODES, Fleet, Report, enlist, evaluate
-from baselines.writing import write_text
-from formation_env import SCENARIOS, FormationConfig, configure
-from formation_env.config import LEVELS
+from baselines import board, cluster, console, options, report, scoring, terminal
+from baselines.own import PolicyError, label
+from baselines.progress import compiling
+from baselines.registry import available
+from baselines.scoring import EPISODES, Fleet, Report, enlist, ready
+from baselines.tasks import changed, check_scenario, tasks
+from baselines.writing import FolderTaken, claim, write_text
+from formation_env import SCENARIOS, FormationConfig
+from formation_env.checks import integer
 
 # Of the leaderboard: the tasks at their own action level, and those with policies at the others.
 SHOWN = (*SCENARIOS, "nominal:rates", "nominal:reference", "paper:rates", "paper:reference")
-BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"
+FILES = ("results.json", "results.md")
 
 
-# -- files ----------------------------------------------------------------------------------------
+# -- from Python ----------------------------------------------------------------------------------
 
 
-def leaderboard(result: Report, command: str) -> str:
-    """The text of LEADERBOARD.md."""
-    layout = next(iter(result.scenarios.values())).config.layout.version
-    last = result.seed + result.episodes - 1
-    return (
-        "# Leaderboard\n\n"
-        "Written by the command below; do not edit.\n\n"
-        f"```bash\n{command}\n```\n\n"
-        f"`Formation-v0`, observation layout {layout}, package {formation_env.__version__}. "
-        f"{result.episodes} episodes for each scenario and policy, seeds {result.seed} to {last}, the same "
-        f"for every policy.\n\n{report.markdown(result)}"
-    )
+def evaluate(
+    policies: Any,
+    scenarios: Any = "nominal",
+    *,
+    episodes: int = EPISODES,
+    seed: int = 0,
+    threads: int | None = None,
+    quiet: bool = False,
+) -> Report:
+    """Score policies on scenarios, on the seeds `seed` to `seed + episodes - 1` for each.
 
+    `policies`: one or a list of names, paths, `module:Name` (see `baselines.make_policy`), classes or
+    functions that are called with the configuration, and objects with `reset(seed)` and `act(observation)`
+    (see `baselines.own`); or a dictionary that gives them names. `scenarios`: one or a list of names
+    (`"paper"`, `"paper:rates"`), or a dictionary from names of yours to `FormationConfig`s or to
+    dictionaries of fields, such as `{"heavy": {"scenario": "paper", "vehicle": Vehicle(mass=0.2)}}`.
+    `threads` is by default one for each core; `quiet` shows no progress.
 
-def with_extract(readme: str, extract: str) -> str:
-    """README text with the part between the leaderboard's markers replaced.
-
-    Raises `ValueError` unless each marker stands there once, in order.
+    The result prints as a table. `result.scenarios[name].results[policy]` holds the score with its interval,
+    the metrics and the failures. Raises `ValueError` naming what is wrong, and `PolicyError` where your own
+    policy fails in flight.
     """
-    once = readme.count(BEGIN) == readme.count(END) == 1
-    if not once or readme.index(END) < readme.index(BEGIN):
-        raise ValueError(f"expected the lines {BEGIN} and {END} once each, in this order")
-    before, rest = readme.split(BEGIN)
-    return f"{before}{BEGIN}\n{extract}\n{END}{rest.split(END)[1]}"
+    threads = os.cpu_count() or 1 if threads is None else integer("threads", threads, 1, 1024)
+    episodes = integer("episodes", episodes, 1, 1_000_000)
+    seed = integer("seed", seed, 0, 2**32)
+    named = _by_name(policies)
+    with compiling(quiet):
+        configs = _configurations(scenarios)
+        crews = scoring.ready(configs, named)
+    return scoring.evaluate(configs, named, episodes, seed, threads, quiet, crews=crews)
 
 
-# -- command line ---------------------------------------------------------------------------------
-
-
-@final
-class _Parser(argparse.ArgumentParser):
-    """Says in one line what is wrong."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: error: {message}\n")
-
-
-def _whole(low: int, high: int) -> Any:
-    def read(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            value = low - 1
-        if not low <= value <= high:
-            raise argparse.ArgumentTypeError(
-                f"{text!r}: expected a whole number from {low} to {high}"
+def _by_name(policies: Any) -> dict[str, Any]:
+    if isinstance(policies, Mapping):
+        return dict(policies)
+    each = list(policies) if isinstance(policies, (list, tuple)) else [policies]
+    found: dict[str, Any] = {}
+    for policy in each:
+        name = label(policy)
+        if name in found:
+            raise ValueError(
+                f"policies: two are called {name!r}: give a dictionary with their names"
             )
-        return value
-
-    return read
-
-
-def _seconds(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not (isfinite(value) and value > 0.0):
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a time in seconds above 0")
-    return value
+        found[name] = policy
+    if not found:
+        raise ValueError("policies = []: expected at least one")
+    return found
 
 
-def _scenarios(text: str) -> list[str]:
-    """Names, each perhaps with an action level after a colon."""
-    names = [name for name in text.replace(",", " ").split() if name]
-    for name in names or [text]:
-        scenario, colon, level = name.partition(":")
-        if scenario not in SCENARIOS:
-            raise argparse.ArgumentTypeError(f"{name!r}: expected some of {', '.join(SCENARIOS)}")
-        if colon and level not in LEVELS:
-            raise argparse.ArgumentTypeError(
-                f"{name!r}: expected after the colon one of {', '.join(LEVELS)}"
-            )
-    return list(dict.fromkeys(names))
-
-
-def _policies(text: str) -> list[str]:
-    """Names and paths; only commas divide them, since a path may have spaces."""
-    names = [name for name in map(str.strip, text.split(",")) if name]
-    for name in names or [text]:
-        if not is_policy(name):
-            known = ", ".join((*POLICIES, *METHODS))
-            raise argparse.ArgumentTypeError(
-                f"{name!r}: expected some of {known}, or paths of *{SUFFIX} files"
-            )
-    return list(dict.fromkeys(names))
-
-
-def _parser() -> _Parser:
-    parser = _Parser(
-        prog="formation-evaluate",
-        description="Score policies on scenarios, on the same seeds for every policy.",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-        allow_abbrev=False,
-    )
-    add = parser.add_argument
-    add("--policies", type=_policies, default=argparse.SUPPRESS, metavar="NAMES",
-        help=f"comma-separated, of {', '.join((*POLICIES, *METHODS))} (learned ones from the files that "
-        f"are shipped) and paths of your own *{SUFFIX} files (default: all but the latter)")  # fmt: skip
-    add("--scenarios", type=_scenarios, metavar="NAMES",
-        help=f"comma-separated, of {', '.join(SCENARIOS)} (all; with --leaderboard also those that "
-        "policies are shipped for); NAME:LEVEL at another action level")  # fmt: skip
-    add("--episodes", type=_whole(1, 1_000_000), default=EPISODES, metavar="N",
-        help="for each scenario and policy")  # fmt: skip
-    add("--seed", type=_whole(0, 2**32), default=0, metavar="N", help="of the first episode")
-    add("--action", choices=tuple(LEVELS), help="action level instead of the scenarios' own")
-    add("--duration", type=_seconds, metavar="S", help="episode length instead of the scenario's")
-    add(
-        "--output", type=Path, default=Path("results"), metavar="DIR", help="folder for the results"
-    )
-    add("--threads", type=_whole(1, 1024), default=os.cpu_count() or 1, metavar="N", help="workers")
-    add("--ray", action="store_true",
-        help="share the episodes out over a Ray cluster, by default one of this machine's cores")  # fmt: skip
-    add("--address", metavar="HOST:PORT", help="with --ray: of a cluster that runs already")
-    add("--leaderboard", type=Path, nargs="?", const=Path(), metavar="DIR",
-        help="also write LEADERBOARD.md and README.md's extract of it in this checkout "
-        "(by default the current folder)")  # fmt: skip
-    return parser
-
-
-def _configs(options: argparse.Namespace) -> dict[str, FormationConfig]:
-    """The chosen scenarios with the overrides. Raises `ValueError` naming scenario and field."""
-    configs = {}
-    for name in options.scenarios:
-        scenario, _, level = name.partition(":")
-        given = {"action": level or options.action, "duration": options.duration}
-        try:
-            configs[name] = configure(scenario, **{k: v for k, v in given.items() if v is not None})
-        except ValueError as problem:
-            raise ValueError(f"scenario {name}: {problem}") from None
-    return configs
-
-
-def _prepare(folder: Path, names: Sequence[str]) -> None:
-    """Make sure that these files can be written. Raises `ValueError` naming what cannot."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as problem:
-        reason = problem.strerror or problem
-        raise ValueError(
-            f"cannot write into {folder}: {reason}; expected a writable folder"
-        ) from None
+def _configurations(scenarios: Any) -> dict[str, FormationConfig]:
+    if isinstance(scenarios, FormationConfig):
+        return {scenarios.scenario: scenarios}
+    if isinstance(scenarios, Mapping):
+        return {
+            str(name): each if isinstance(each, FormationConfig) else changed(each, [])
+            for name, each in scenarios.items()
+        }
+    names = [scenarios] if isinstance(scenarios, str) else list(scenarios)
     for name in names:
-        if (folder / name).is_dir():
-            raise ValueError(f"{folder / name} is a folder: expected a file or nothing")
+        check_scenario(name)
+    return tasks(names)
 
 
-def _check_readme(checkout: Path) -> None:
-    """Make sure that the README can take the extract."""
-    path = checkout / "README.md"
-    try:
-        with_extract(path.read_text(encoding="utf-8"), "")
-    except (OSError, ValueError) as problem:
-        reason = problem.strerror if isinstance(problem, OSError) else problem
-        raise ValueError(f"argument --leaderboard: {path}: {reason}") from None
-
-
-def _command(options: argparse.Namespace, everybody: list[str]) -> str:
-    """The command that repeats the figures: without what does not change them."""
-    words = ["python -m baselines.evaluate"]
-    chosen = {"policies": everybody, "scenarios": list(SHOWN)}
-    for name, everything in chosen.items():
-        if getattr(options, name) != everything:
-            words.append(f"--{name} {shlex.quote(','.join(getattr(options, name)))}")
-    for name, usual in {"episodes": EPISODES, "seed": 0, "action": None, "duration": None}.items():
-        if getattr(options, name) != usual:
-            words.append(f"--{name} {getattr(options, name)}")
-    return " ".join([*words, "--leaderboard"])
+# -- the command ----------------------------------------------------------------------------------
 
 
 @contextmanager
-def _fleet(options: argparse.Namespace) -> Iterator[Fleet | None]:
+def _fleet(given: argparse.Namespace) -> Iterator[Fleet | None]:
     """What flies the episodes, while it is there. Raises `ClusterError`."""
-    if not options.ray:
+    if not given.ray:
         yield None
         return
-    with cluster.joined(options.address, options.threads) as ray:
+    with cluster.joined(given.address, given.threads) as ray:
         yield partial(cluster.fly_all, ray)
 
 
+def _configs(given: argparse.Namespace) -> dict[str, FormationConfig]:
+    """The chosen tasks. Raises `ValueError` naming task and field."""
+    if given.scenarios is None:
+        everything = list(SCENARIOS if given.leaderboard is None else SHOWN)
+        given.scenarios = [] if given.config else everything
+    return tasks(
+        given.scenarios, given.config, given.settings, given.sweeps, given.action, given.duration
+    )
+
+
+def _claim(given: argparse.Namespace, stack: ExitStack) -> None:
+    """Claim the folders that are written into. Raises `ValueError` naming what cannot be written."""
+    folders: dict[Path, tuple[Path, Sequence[str]]] = {
+        given.output.resolve(): (given.output, FILES)
+    }
+    if given.leaderboard is not None:
+        try:
+            board.check(given.leaderboard)
+        except ValueError as problem:
+            raise ValueError(f"argument --leaderboard: {problem}") from None
+        folders.setdefault(given.leaderboard.resolve(), (given.leaderboard, (board.NAME,)))
+    for folder, names in folders.values():
+        try:
+            stack.enter_context(claim(folder))
+        except FolderTaken as problem:
+            raise ValueError(f"{folder}: {problem.strerror}") from None
+        except OSError as problem:
+            reason = problem.strerror or problem
+            raise ValueError(
+                f"cannot write into {folder}: {reason}; expected a writable folder"
+            ) from None
+        for name in names:
+            if (folder / name).is_dir():
+                raise ValueError(f"{folder / name} is a folder: expected a file or nothing")
+
+
+def _command(given: argparse.Namespace, everybody: list[str]) -> str:
+    """The command that repeats the figures: without what does not change them."""
+    words = ["python -m baselines.evaluate"]
+    everything = [] if given.config else list(SCENARIOS if given.leaderboard is None else SHOWN)
+    for name, chosen in {"policies": everybody, "scenarios": everything}.items():
+        if getattr(given, name) != chosen:
+            words.append(f"--{name} {shlex.quote(','.join(getattr(given, name)))}")
+    words += [f"--config {shlex.quote(str(path))}" for path in given.config]
+    for option, settings in (("--set", given.settings), ("--sweep", given.sweeps)):
+        words += [f"{option} {shlex.quote(f'{s.field}={s.text}')}" for s in settings]
+    for name, usual in {"episodes": EPISODES, "seed": 0, "action": None, "duration": None}.items():
+        if getattr(given, name) != usual:
+            words.append(f"--{name} {getattr(given, name)}")
+    return " ".join([*words, *(["--leaderboard"] if given.leaderboard is not None else [])])
+
+
+@console.command
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
-    parser = _parser()
-    options = parser.parse_args(arguments)
-    if options.scenarios is None:
-        options.scenarios = list(SCENARIOS if options.leaderboard is None else SHOWN)
-    try:
-        configs = _configs(options)
-        everybody = available(configs.values())
-        options.policies = getattr(options, "policies", everybody)
-        enlist(configs, options.policies)
-        if options.address is not None and not options.ray:
-            raise ValueError("argument --address: only with --ray")
-        if options.leaderboard is not None:
-            _check_readme(options.leaderboard)
-            _prepare(options.leaderboard, ["LEADERBOARD.md"])
-        _prepare(options.output, ["results.json", "results.md"])
-    except ValueError as problem:
-        parser.error(str(problem))
-    try:
-        with _fleet(options) as fleet:
-            o = options
-            result = evaluate(configs, o.policies, o.episodes, o.seed, o.threads, False, fleet)
-    except cluster.Unreachable as problem:
-        parser.error(str(problem))
-    except cluster.ClusterError as problem:
-        print(f"{parser.prog}: error: {problem}; nothing was written", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("interrupted: nothing was written", file=sys.stderr)
-        return 130
-    print(report.table(result))
-    for remark in explanations(result):
-        print(f"\n{remark}")
-    try:
-        _write(result, options, _command(options, everybody))
-    except OSError as problem:
-        print(f"{parser.prog}: error: {problem}; earlier results are kept", file=sys.stderr)
-        return 1
+    parser = options.parser()
+    given = parser.parse_args(arguments)
+    with ExitStack() as stack, _collected_warnings() as told:
+        try:
+            flown, command = _fly(given, parser, stack)
+        except (cluster.ClusterError, PolicyError) as problem:
+            if problem.__cause__ is not None:
+                console.complain("".join(traceback.format_exception(problem.__cause__)).rstrip())
+            console.complain(f"{parser.prog}: error: {problem}; nothing was written")
+            return 1
+        except KeyboardInterrupt:
+            console.complain("interrupted: nothing was written")
+            return 130
+        try:
+            written = _write(flown, given, command)
+        except OSError as problem:
+            console.complain(f"{parser.prog}: error: {problem}; earlier results are kept")
+            return 1
+    _print(flown, told, written)
     return 0
 
 
-def _write(result: Report, options: argparse.Namespace, command: str) -> None:
-    folder: Path = options.output
-    write_text(folder / "results.json", report.to_json(result))
-    write_text(folder / "results.md", "# Results\n\n" + report.markdown(result))
-    print(f"\nwritten: {folder / 'results.json'}, {folder / 'results.md'}")
-    if options.leaderboard is not None:
-        readme = options.leaderboard / "README.md"
-        write_text(options.leaderboard / "LEADERBOARD.md", leaderboard(result, command))
-        text = with_extract(readme.read_text(encoding="utf-8"), report.extract(result))
-        write_text(readme, text)
-        print(f"written: {options.leaderboard / 'LEADERBOARD.md'}, {readme}")
+def _fly(
+    given: argparse.Namespace, parser: argparse.ArgumentParser, stack: ExitStack
+) -> tuple[Report, str]:
+    """The results, and the command that repeats them; the folders are claimed until `stack` is closed.
 
+    Raises `SystemExit` for what is wrong with the options, `ClusterError` and `PolicyError`.
+    """
+    try:
+        if given.address is not None and not given.ray:
+            raise ValueError("argument --address: only with --ray")
+        with compiling():
+            configs = _configs(given)
+            everybody = available(configs.values())
+            given.policies = getattr(given, "policies", everybody)
+            enlist(configs, given.policies)
+            _claim(given, stack)
+            crews = ready(configs, given.policies, here=not given.ray)
+    except ValueError as problem:
+        parser.error(str(problem))
+    try:
+        with _fleet(given) as fleet:
+            g = given
+            flown = scoring.evaluate(
+                configs, g.policies, g.episodes, g.seed, g.threads, False, fleet, crews
+            )
+    except cluster.Unreachable as problem:
+        parser.error(str(problem))
+    return flown, _command(given, everybody)
+
+
+@contextmanager
+def _collected_warnings() -> Iterator[list[warnings.WarningMessage]]:
+    """Within, warnings are kept for the end instead of printed across the bar; shown if there is none."""
+    with warnings.catch_warnings(record=True) as told:
+        try:
+            yield told
+        except BaseException:
+            for text in _texts(told):
+                console.complain(terminal.wrapped(text))
+            raise
+
+
+def _texts(told: Sequence[warnings.WarningMessage]) -> list[str]:
+    return list(dict.fromkeys(f"warning: {' '.join(str(w.message).split())}" for w in told))
+
+
+def _write(result: Report, given: argparse.Namespace, command: str) -> list[Path]:
+    """Write all files; returns their paths. Raises `OSError`."""
+    folder: Path = given.output
+    about = f"# Results\n\n```bash\n{command}\n```\n\n"
+    write_text(folder / "results.json", report.to_json(result, command))
+    write_text(folder / "results.md", about + report.markdown(result))
+    written = [folder / "results.md", folder / "results.json"]
+    if given.leaderboard is not None:
+        written += board.write(result, given.leaderboard, command)
+    return written
+
+
+def _print(
+    result: Report, told: Sequence[warnings.WarningMessage], written: Sequence[Path]
+) -> None:
+    """What ends a run: scores, failures, warnings, and where the rest is."""
+    console.say(terminal.summary(result))
+    if _texts(told):
+        console.say("\n" + "\n".join(map(terminal.wrapped, _texts(told))))
+    files = ", ".join(map(str, written))
+    console.say("\n" + terminal.wrapped(f"intervals, all metrics and remarks: {files}"))
+
+
+@final
+class _Callable(ModuleType):
+    """This module as a function, so that `baselines.evaluate(...)` and `python -m baselines.evaluate` are
+    both what they say: importing a submodule sets the package's attribute of its name."""
+
+    def __call__(self, *args: Any, **options: Any) -> Report:
+        return evaluate(*args, **options)
+
+
+sys.modules[__name__].__class__ = _Callable
 
 if __name__ == "__main__":
     sys.exit(main())

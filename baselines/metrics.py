@@ -23,9 +23,8 @@ Floats = NDArray[np.float64]
 SETTLED = 0.15  # m, slot error below which a follower counts as settled: half the reward's scale
 HELD = 1.0  # s, for at least so long before the end
 
-# The leader's own crash ends an episode too, and is no follower's.
-KINDS = (*FAILURES, "leader")
-LEADER = len(FAILURES)
+KINDS = FAILURES  # the leader's own crash, which is no follower's, is one of them
+LEADER = KINDS.index("leader")
 
 
 class Metric(NamedTuple):

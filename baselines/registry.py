@@ -1,12 +1,13 @@
-"""The policies by name: those that are programmed, those that ship as files, and anybody's files."""
+"""The policies by name: those that are programmed, those that ship as files, anybody's files and code."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from baselines import own
 from baselines.expert import Expert
 from baselines.files import SUFFIX, Card, load
 from baselines.learned import Learned, Misfit
@@ -14,6 +15,7 @@ from baselines.policy import Policy
 from baselines.simple import Hover, Pd, Random
 from baselines.tuned import ExpertTuned
 from formation_env import FormationConfig
+from formation_env.checks import require
 
 POLICIES: dict[str, type[Policy]] = {
     policy.name: policy for policy in (Expert, ExpertTuned, Pd, Hover, Random)
@@ -40,11 +42,25 @@ class Recipe(NamedTuple):
     make: Callable[[FormationConfig], Policy]
     file: str = ""  # its name without the folder
     card: Card | None = None
+    own: str = ""  # name of a user's own policy
+
+
+class Unshipped(Misfit):
+    """A method of which no file is shipped for the configuration."""
 
 
 def is_policy(name: object) -> bool:
-    """Whether `recipe` may know the name: a policy, a method or a path of a policy file."""
-    return isinstance(name, str) and (name in POLICIES or name in METHODS or name.endswith(SUFFIX))
+    """Whether `recipe` may know the name: a policy, a method, a path of a policy file, or code."""
+    if not isinstance(name, str):
+        return False
+    known = name in POLICIES or name in METHODS
+    return known or name.endswith(SUFFIX) or own.is_source(name)
+
+
+def known_names() -> str:
+    """What a policy may be, for a message."""
+    names = ", ".join(map(repr, (*POLICIES, *METHODS)))
+    return f"one of {names}, a path of a *{SUFFIX} file, module:Name or file.py:Name"
 
 
 def available(configs: Collection[FormationConfig]) -> list[str]:
@@ -53,24 +69,29 @@ def available(configs: Collection[FormationConfig]) -> list[str]:
     return [*POLICIES, *methods]
 
 
-def recipe(name: str, config: FormationConfig) -> Recipe:
-    """How to make the policy of that name for a configuration.
+def recipe(policy: Any, config: FormationConfig) -> Recipe:
+    """How to make a policy for a configuration: by a name, or a user's own as `own` describes.
 
-    Raises `ValueError` listing the names if it is unknown, or saying what is wrong with its file; and
-    `Misfit`, which is one too, if it exists but not for this configuration.
+    Raises `ValueError` listing the names if it is unknown, or saying what is wrong with its file or code;
+    and `Misfit`, which is one too, if it exists but not for this configuration.
     """
-    if not is_policy(name):
-        known = ", ".join(map(repr, (*POLICIES, *METHODS)))
-        raise ValueError(
-            f"policy = {name!r}: expected one of {known} or a path of a *{SUFFIX} file"
-        )
-    if name in POLICIES:
-        return Recipe(POLICIES[name])
+    if isinstance(policy, str):
+        require(is_policy(policy), "policy", policy, known_names())
+        if policy in POLICIES:
+            return Recipe(POLICIES[policy])
+        if policy in METHODS or policy.endswith(SUFFIX):
+            return _from_file(policy, config)
+    own.make(config, policy)  # tells what is amiss before anything flies
+    return Recipe(partial(own.make, source=policy), own=own.label(policy))
+
+
+def _from_file(name: str, config: FormationConfig) -> Recipe:
     path = Path(name) if name.endswith(SUFFIX) else _shipped(name, config)
     if path is None:
-        raise Misfit(
-            f"policy = {name!r}: no file for action level {config.action!r} is shipped, neither for "
-            f"scenario {config.scenario!r} nor for {USUAL!r}"
+        tried = " or ".join(map(repr, dict.fromkeys((config.scenario, USUAL))))
+        raise Unshipped(
+            f"policy = {name!r}: no file for action level {config.action!r} is shipped for scenario "
+            f"{tried}"
         )
     source = load(path)
     made = Recipe(partial(Learned, source=source), path.name, source[0])
@@ -90,11 +111,12 @@ def _shipped(method: str, config: FormationConfig) -> Path | None:
     return None
 
 
-def make_policy(name: str, config: FormationConfig) -> Policy:
+def make_policy(policy: Any, config: FormationConfig) -> Policy:
     """The policy of that name for a configuration.
 
     A name of `POLICIES`, a method of `METHODS`, whose file for the configuration's scenario and action
-    level is taken (for a scenario without one that of `nominal`), or a path that ends in
-    `.safetensors`. Raises `ValueError` as `recipe` does.
+    level is taken (for a scenario without one that of `nominal`), a path that ends in
+    `.safetensors`, or your own: `module:Name`, `file.py:Name`, a class or an object (see
+    `baselines.own`). Raises `ValueError` as `recipe` does.
     """
-    return recipe(name, config).make(config)
+    return recipe(policy, config).make(config)

@@ -1,9 +1,10 @@
-"""The results of an evaluation as a table, as Markdown and as JSON.
+"""The results of an evaluation as Markdown and as JSON.
 
 The JSON document, `results.json` (no NaN: a figure that no episode has is null):
 
     {"schema": 1, "environment": "Formation-v0", "package": version, "layout": observation layout version,
-     "seed": first seed, "episodes": number per scenario (seeds seed ... seed + episodes - 1),
+     "command": that repeats it or null, "seed": first seed,
+     "episodes": number per scenario (seeds seed ... seed + episodes - 1),
      "interval": {"level", "method", "resamples"},
      "metrics": {name: {"unit", "better", "meaning"}},
      "scenarios": {name: {
@@ -13,7 +14,7 @@ The JSON document, `results.json` (no NaN: a figure that no episode has is null)
              "difference_to_expert": {"return": estimate, "slot_error_rms": estimate},
              "failures": {kind: episodes}}},
          "expert_measuring": null or {name: estimate},
-         "files": {policy: {"file": name, "method": word, "scenario": trained on}},
+         "files": {policy: {"file": name, "method": word, "scenario": trained on, "action": level}},
          "absent": {policy: why it does not fly here}}}}
 
 with `estimate = {"value", "low", "high", "episodes"}`: the mean over so many episodes (of `settling_time`
@@ -31,11 +32,11 @@ from math import isfinite
 from typing import Any
 
 import formation_env
-from baselines.cells import figure, interval, scored, signed
+from baselines.cells import interval, scored, signed
 from baselines.explanations import explanations
 from baselines.intervals import LEVEL, RESAMPLES, Estimate
 from baselines.metrics import EPISODE
-from baselines.scoring import COMPARED, Report, Result, Scenario
+from baselines.scoring import COMPARED, Report, Result, Scenario, Source
 from formation_env import FormationConfig
 
 SCORE = "normalised score: mean return, 0 as hover's and 1 as the expert's on the same seeds"
@@ -43,13 +44,14 @@ SCORE = "normalised score: mean return, 0 as hover's and 1 as the expert's on th
 # -- JSON -----------------------------------------------------------------------------------------
 
 
-def to_json(report: Report) -> str:
+def to_json(report: Report, command: str | None = None) -> str:
     """The document described above."""
     document = {
         "schema": 1,
         "environment": "Formation-v0",
         "package": formation_env.__version__,
         "layout": next(iter(report.scenarios.values())).config.layout.version,
+        "command": command,
         "seed": report.seed,
         "episodes": report.episodes,
         "interval": {
@@ -94,78 +96,56 @@ def _estimate(e: Estimate) -> dict[str, float | int | None]:
     return {k: x if isfinite(x) else None for k, x in e._asdict().items()}
 
 
-# -- text -----------------------------------------------------------------------------------------
-
-_COLUMNS = {
-    "slot_error_rms": "error m",
-    "slot_error_steady": "steady m",
-    "slot_error_max": "max m",
-    "settled": "settled",
-    "settling_time": "after s",
-    "leader_deviation": "lead dev m",
-    "follower_deviation": "foll dev m",
-    "min_separation": "least gap m",
-    "failed": "failed",
-    "effort": "effort",
-    "smoothness": "change",
-}
-
-
-def table(report: Report) -> str:
-    """The main figures for a terminal, one line for each policy and scenario."""
-    head = ["scenario", "policy", "score", "95 % interval", *_COLUMNS.values()]
-    rows = [head]
-    for name, scenario in report.scenarios.items():
-        for policy, result in scenario.results.items():
-            s = result.score
-            figures = [figure(key, result.summary[key].value) for key in _COLUMNS]
-            interval = f"{s.low:.3f} .. {s.high:.3f}"
-            rows.append([name, policy, f"{s.value:.3f}", interval, *figures])
-    widths = [max(len(row[k]) for row in rows) for k in range(len(head))]
-    return "\n".join(_line(row, widths) for row in rows)
-
-
-def _line(row: list[str], widths: list[int]) -> str:
-    names = [x.ljust(w) for x, w in zip(row[:2], widths, strict=False)]
-    figures = [x.rjust(w) for x, w in zip(row[2:], widths[2:], strict=True)]
-    return "  ".join(names + figures)
-
-
 # -- Markdown -------------------------------------------------------------------------------------
 
 
-def overview(report: Report) -> str:
-    """Scores with their intervals: a row for each policy, a column for each scenario."""
-    return _grid(report, scored)
-
-
-def extract(report: Report) -> str:
-    """The same without intervals, for the README."""
-    return _grid(report, lambda score: f"{score.value:.2f}")
-
-
-def _grid(report: Report, cell: Callable[[Estimate], str]) -> str:
+def grid(report: Report, cell: Callable[[Estimate], str]) -> str:
+    """A row for each policy, a column for each scenario; in italics what was trained on another one."""
     policies = dict.fromkeys(p for s in report.scenarios.values() for p in s.results)
     rows = [
         ["policy", *(f"`{name}`" for name in report.scenarios)],
         ["---", *("---:" for _ in report.scenarios)],
     ]
     for policy in policies:
-        results = [s.results.get(policy) for s in report.scenarios.values()]
-        rows.append([f"`{policy}`", *(cell(r.score) if r else "-" for r in results)])
+        row = [f"`{policy}`"]
+        for scenario in report.scenarios.values():
+            result = scenario.results.get(policy)
+            text = cell(result.score) if result else "-"
+            row.append(f"*{text}*" if scenario.untrained(policy) else text)
+        rows.append(row)
     return _markdown(rows)
 
 
-def markdown(report: Report) -> str:
-    """Overview, remarks, and one table a scenario, every figure with its interval."""
-    parts = ["## Scores", f"The {SCORE}.", overview(report)]
+def markdown(report: Report, legend: str = "") -> str:
+    """Scores with intervals, remarks, files flown, and one table a scenario, every figure with its
+    interval."""
+    parts = ["## Scores", f"The {SCORE}.", grid(report, scored)]
+    parts += [legend] if legend else []
     remarks = explanations(report)
     if remarks:
         parts += ["## Remarks", *remarks]
+    files = _files(report)
+    if files:
+        parts += ["## Policy files", files]
     for name, scenario in report.scenarios.items():
         parts += [f"## {name}", _conditions(scenario.config), _details(scenario)]
     parts += ["## What the figures mean", _meanings()]
     return "\n\n".join(parts) + "\n"
+
+
+def _files(report: Report) -> str:
+    """Which file each policy that is one was flown from, or nothing."""
+    flights: dict[tuple[str, Source], list[str]] = {}
+    for name, scenario in report.scenarios.items():
+        for policy, source in scenario.sources.items():
+            flights.setdefault((policy, source), []).append(f"`{name}`")
+    rows = [["policy", "file", "method", "trained on", "at level", "flown on"], ["---"] * 6]
+    for (policy, source), names in flights.items():
+        known = [
+            f"`{x}`" for x in (policy, source.file, source.method, source.scenario, source.action)
+        ]
+        rows.append([*known, ", ".join(names)])
+    return _markdown(rows) if flights else ""
 
 
 def _conditions(config: FormationConfig) -> str:

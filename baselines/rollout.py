@@ -40,8 +40,15 @@ def fly_all(policy: Policy, seeds: range) -> Episodes:
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def fly(policy: Policy, seeds: range, progress: Callable[[int], None] | None = None) -> Episodes:
+def fly(
+    policy: Policy,
+    seeds: range,
+    progress: Callable[[int], None] | None = None,
+    most: int | None = None,
+) -> Episodes:
     """One episode for each of the consecutive `seeds`; the columns are `metrics.EPISODE`.
+
+    `most` ends them after so many ticks, for a first use that only compiles.
 
     `progress` is told after every tick how many worlds' ticks have been dealt with; what it raises
     stops the flight.
@@ -56,7 +63,8 @@ def fly(policy: Policy, seeds: range, progress: Callable[[int], None] | None = N
     actions = np.zeros((worlds, config.followers, config.action_size), dtype=np.float32)
     offsets, nowhere = np.array(config.offsets), np.zeros((0, 3))
     live, living = np.ones(worlds, dtype=np.bool_), worlds
-    for tick in range(1, config.max_steps + 1):
+    last = config.max_steps if most is None else min(most, config.max_steps)
+    for tick in range(1, last + 1):
         if progress is not None:
             progress(worlds)
         if living == 0:
@@ -66,7 +74,7 @@ def fly(policy: Policy, seeds: range, progress: Callable[[int], None] | None = N
             # Ended worlds stand still, in whatever state they ended: what is decided there is void.
             actions[~live] = 0.0
         results = simulation.step(actions, mask=live)
-        late = tick > config.max_steps // 2
+        late = tick > last // 2
         living = add_tick(
             tally,
             tick,

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-import threading
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import replace
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from baselines.intervals import Estimate, difference, estimate, normalised, summarise
 from baselines.learned import Misfit
 from baselines.metrics import KINDS
-from baselines.registry import Recipe, make_policy, recipe
+from baselines.own import PolicyError
+from baselines.policy import Policy
+from baselines.progress import Bar, compiling
+from baselines.registry import POLICIES, Recipe, Unshipped, make_policy, recipe
 from baselines.rollout import Episodes, chunks, fly
 from formation_env import FeasibilityWarning, FormationConfig
 
@@ -42,6 +44,7 @@ class Source(NamedTuple):
     file: str  # name without the folder
     method: str
     scenario: str  # trained on
+    action: str  # at this level
 
 
 class Scenario(NamedTuple):
@@ -53,6 +56,12 @@ class Scenario(NamedTuple):
     measuring: dict[str, Estimate] | None  # the expert's, with velocity and acceleration measured
     sources: dict[str, Source]  # of those policies that are files
     absent: dict[str, str]  # policies that cannot fly here, and why
+
+    def untrained(self, policy: str) -> bool:
+        """Whether the policy is a file that was trained on another scenario."""
+        source = self.sources.get(policy)
+        own = (self.config.scenario, self.config.action)
+        return source is not None and (source.scenario, source.action) != own
 
 
 class Flight(NamedTuple):
@@ -74,6 +83,12 @@ class Report(NamedTuple):
     seed: int
     episodes: int
     scenarios: dict[str, Scenario]
+
+    def __str__(self) -> str:
+        """What the command prints: scores and failures."""
+        from baselines.terminal import summary
+
+        return summary(self)
 
 
 def judge(
@@ -104,39 +119,63 @@ class Crew(NamedTuple):
     absent: dict[str, str]  # who cannot, and why
 
 
-def enlist(configs: Mapping[str, FormationConfig], policies: Sequence[str]) -> dict[str, Crew]:
+def enlist(
+    configs: Mapping[str, FormationConfig], policies: Sequence[str] | Mapping[str, Any]
+) -> dict[str, Crew]:
     """How to make each policy on each configuration that it fits.
 
-    Raises `ValueError` for an unknown policy, a bad file, and a policy that fits no configuration.
+    `policies` are names, or what `registry.recipe` takes by the name to call it. Raises `ValueError` for
+    an unknown policy, a bad file, and a policy that fits no configuration.
     """
     crews = {name: Crew({}, {}) for name in configs}
-    for policy in policies:
+    for policy, source in named(policies).items():
+        problems = []
         for name, config in configs.items():
             try:
-                crews[name].recipes[policy] = recipe(policy, config)
+                crews[name].recipes[policy] = recipe(source, config)
             except Misfit as problem:
-                crews[name].absent[policy] = str(problem)
+                short = "no file of this method is shipped for it"
+                problems.append(str(problem))
+                crews[name].absent[policy] = (
+                    short if isinstance(problem, Unshipped) else str(problem)
+                )
         if not any(policy in crew.recipes for crew in crews.values()):
-            reasons = dict.fromkeys(crew.absent[policy] for crew in crews.values())
-            raise ValueError("; ".join(reasons))
+            raise ValueError("; ".join(dict.fromkeys(problems)))
     return crews
 
 
+def named(policies: Sequence[str] | Mapping[str, Any]) -> dict[str, Any]:
+    """Policies by name; those of a sequence are names themselves. Raises `ValueError` for another policy
+    under the name of one that the score is normalised with."""
+    if not isinstance(policies, Mapping):
+        return {policy: policy for policy in policies}
+    for name in ANCHORS:
+        source = policies.get(name, name)
+        if source != name and source is not POLICIES[name]:
+            raise ValueError(f"policy {name!r}: this name is taken: give yours another one")
+    return dict(policies)
+
+
 def evaluate(
-    configs: dict[str, FormationConfig],
-    policies: Sequence[str],
+    configs: Mapping[str, FormationConfig],
+    policies: Sequence[str] | Mapping[str, Any],
     episodes: int = EPISODES,
     seed: int = 0,
     threads: int = 1,
     quiet: bool = True,
     fleet: Fleet | None = None,
+    crews: Mapping[str, Crew] | None = None,
 ) -> Report:
     """Score `policies` on named configurations, seeds `seed` to `seed + episodes - 1` for each.
 
-    A policy flies where it fits, on `fleet` or else on so many threads of this process. Raises
-    `ValueError` as `enlist` does, and what the fleet raises.
+    A policy flies where it fits, on `fleet` or else on so many threads of this process. `crews` is what
+    `ready` gave for these, if that has been called. Raises `ValueError` as `enlist` does, `PolicyError`
+    where a user's own policy fails, and what the fleet raises.
     """
-    crews = enlist(configs, list(dict.fromkeys((*policies, *ANCHORS))))
+    wanted = named(policies)
+    if crews is None:
+        with compiling(quiet):
+            crews = ready(configs, policies, fleet is None)
     jobs = [
         (name, policy, seeds)
         for name, config in configs.items()
@@ -148,7 +187,7 @@ def evaluate(
     scenarios = {}
     for name, config in configs.items():
         each, crew = columns[name], crews[name]
-        flown = [p for p in policies if p in crew.recipes]
+        flown = [p for p in wanted if p in crew.recipes]
         others = each["hover"], each["expert"], each.get(TUNED)
         results = {p: judge(each[p], *others) for p in flown}
         measuring = None
@@ -159,9 +198,24 @@ def evaluate(
     return Report(seed, episodes, scenarios)
 
 
+def ready(
+    configs: Mapping[str, FormationConfig],
+    policies: Sequence[str] | Mapping[str, Any],
+    here: bool = True,
+) -> dict[str, Crew]:
+    """`enlist` with those that the score is normalised with. If they are to fly `here`, in this process,
+    all kernels are used once, so that they are compiled before anybody counts time."""
+    crews = enlist(configs, {**named(policies), **{name: name for name in ANCHORS}})
+    for name, crew in crews.items():
+        for made in crew.recipes.values():
+            if here and not made.own:
+                fly(made.make(configs[name]), range(1), most=2)
+    return crews
+
+
 def _sources(crew: Crew) -> dict[str, Source]:
     return {
-        policy: Source(made.file, made.card.method, made.card.scenario)
+        policy: Source(made.file, made.card.method, made.card.scenario, made.card.action)
         for policy, made in crew.recipes.items()
         if made.card is not None
     }
@@ -180,27 +234,42 @@ def _fly_all(
     flights: Sequence[Flight], threads: int, quiet: bool, fleet: Fleet | None
 ) -> list[Episodes]:
     """The episodes of every flight, with a progress bar."""
-    bar = _Bar(sum(f.config.max_steps * len(f.seeds) for f in flights), quiet)
+    bar = Bar(sum(f.config.max_steps * len(f.seeds) for f in flights), "flying", quiet)
     try:
         return _fly_here(flights, threads, bar) if fleet is None else fleet(flights, bar.advance)
     finally:
         bar.close()
 
 
-def _fly_here(flights: Sequence[Flight], threads: int, bar: _Bar) -> list[Episodes]:
+def _fly_here(flights: Sequence[Flight], threads: int, bar: Bar) -> list[Episodes]:
     """The flights shared out between threads of this process."""
     pilots = [flight.recipe.make(flight.config) for flight in flights]
     with ThreadPoolExecutor(threads, thread_name_prefix="evaluate") as pool:
         try:
             futures = [
-                pool.submit(fly, pilot, flight.seeds, bar.advance)
+                pool.submit(_fly, pilot, flight, bar)
                 for pilot, flight in zip(pilots, flights, strict=True)
             ]
+            done, _ = wait(futures, return_when=FIRST_EXCEPTION)
+            failures = [future.exception() for future in done]
+            for failure in filter(None, failures):  # at once, not after all flights before it
+                raise failure
             return [future.result() for future in futures]
         except BaseException:
             bar.stop()
             pool.shutdown(cancel_futures=True)
             raise
+
+
+def _fly(pilot: Policy, flight: Flight, bar: Bar) -> Episodes:
+    """One flight. Raises `PolicyError` where a user's own policy fails."""
+    try:
+        return fly(pilot, flight.seeds, bar.advance)
+    except Exception as problem:
+        if not flight.recipe.own or bar.stopped:
+            raise
+        text = " ".join(f"{type(problem).__name__}: {problem}".split())
+        raise PolicyError(f"policy {flight.recipe.own}: {text[:400]}") from problem
 
 
 def _collect(
@@ -217,37 +286,3 @@ def _collect(
         }
         for name, policies in grouped.items()
     }
-
-
-@final
-class _Bar:
-    """A progress bar that many threads move on, and by which they are told to stop."""
-
-    def __init__(self, total: int, quiet: bool) -> None:
-        from tqdm import tqdm
-
-        self._lock = threading.Lock()
-        self._stopped = False
-        self._bar: Any = tqdm(
-            total=total,
-            disable=quiet,
-            unit=" ticks",
-            unit_scale=True,
-            desc="flying (the first run compiles first)",
-            mininterval=0.2,
-            smoothing=0.05,
-        )
-
-    def advance(self, ticks: int) -> None:
-        """Move on. Raises `RuntimeError` once stopped."""
-        if self._stopped:
-            raise RuntimeError("the evaluation was stopped")
-        with self._lock:
-            self._bar.update(ticks)
-
-    def stop(self) -> None:
-        self._stopped = True
-
-    def close(self) -> None:
-        with self._lock:
-            self._bar.close()

@@ -1,27 +1,211 @@
-"""Files that are written whole or not at all: whoever is interrupted leaves the earlier one."""
+"""Output folders: one run at a time writes into one, and a file there is written whole or not at all.
+
+`claim` locks a folder with the operating system's file lock on `.formation.lock` in it, which a process
+loses when it dies, however it dies: a lock file that is left behind holds nobody up. The file's text says
+who holds it. While a file is written it has a name of its own that ends in `.part`; those of killed
+processes are removed by the next run that claims the folder.
+"""
 
 from __future__ import annotations
 
+import errno
 import os
-import tempfile
+import re
+import secrets
+import socket
+import sys
+from contextlib import suppress
 from pathlib import Path
+from types import TracebackType
+from typing import final
+
+LOCK = ".formation.lock"
+_WINDOWS = sys.platform == "win32"  # where an open file can be neither renamed nor removed
+_MARK = "formation: process "  # what the text of a lock begins with
+_PART = re.compile(r"\..+\.[0-9a-f]{16}\.part")
+
+
+# -- files ----------------------------------------------------------------------------------------
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file, or raise `OSError` and keep the one that is there."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    """Write a file, or raise `OSError` and keep the one that is there. Its mode is the umask's."""
+    handle, part = _open_part(path)
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        os.chmod(name, 0o644)
-        os.replace(name, path)
+            if not _WINDOWS:  # still locked, so nobody removes it first
+                os.replace(part, path)
+        if _WINDOWS:
+            os.replace(part, path)
     except BaseException:
-        Path(name).unlink(missing_ok=True)
+        part.unlink(missing_ok=True)
         raise
 
 
 def write_text(path: Path, text: str) -> None:
     """The same for text, as UTF-8 with the line ends it has."""
     write_bytes(path, text.encode("utf-8"))
+
+
+def _open_part(path: Path) -> tuple[int, Path]:
+    """A new file beside `path`, open and locked, so that no other process takes it for a dead one's."""
+    while True:
+        part = path.parent / f".{path.name}.{secrets.token_hex(8)}.part"
+        handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, 0o666)
+        _lock(handle)
+        if os.fstat(handle).st_nlink > 0:  # not removed between the two calls
+            return handle, part
+        os.close(handle)
+
+
+def _remove_parts(folder: Path) -> None:
+    """Remove what killed processes were writing in `folder`: whatever nobody has locked."""
+    for part in folder.iterdir():
+        if not (_PART.fullmatch(part.name) and part.is_file()):
+            continue
+        with suppress(OSError):
+            handle = os.open(part, os.O_RDWR | _BINARY)
+            try:
+                free = _lock(handle)
+                if free and not _WINDOWS:
+                    part.unlink()
+            finally:
+                os.close(handle)
+            if free and _WINDOWS:
+                part.unlink()
+
+
+# -- folders --------------------------------------------------------------------------------------
+
+
+class FolderTaken(OSError):
+    """Another run writes into the folder; `strerror` names its process, `filename` the folder."""
+
+
+@final
+class Claim:
+    """A folder that only this run writes into, until `release` or the end of a `with` block."""
+
+    def __init__(self, folder: Path, handle: int) -> None:
+        self.folder = folder
+        self._handle: int | None = handle
+
+    def release(self) -> None:
+        """Let others write into the folder. A second call does nothing."""
+        handle, self._handle = self._handle, None
+        if handle is None:
+            return
+        if _WINDOWS:
+            os.close(handle)
+        with suppress(OSError):
+            (self.folder / LOCK).unlink()
+        if not _WINDOWS:
+            os.close(handle)
+
+    def __enter__(self) -> Claim:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.release()
+
+
+def claim(folder: Path) -> Claim:
+    """Make the folder if need be, lock it for this run and remove what killed runs left half-written.
+
+    Nothing else in it is touched. Raises `FolderTaken` where another run, of this process or another
+    one, holds it, and `OSError` where it cannot be made or nothing can be written into it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    folder = folder.absolute()  # the working directory may change
+    handle = _locked(folder)
+    try:
+        os.ftruncate(handle, 0)
+        os.write(handle, f"{_MARK}{os.getpid()} on {socket.gethostname()}: {_command()}\n".encode())
+        _remove_parts(folder)
+    except BaseException:
+        Claim(folder, handle).release()
+        raise
+    return Claim(folder, handle)
+
+
+def _locked(folder: Path) -> int:
+    """The folder's lock file, open and locked. Raises `FolderTaken`, `OSError`."""
+    path = folder / LOCK
+    while True:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | _BINARY | _NONBLOCK, 0o666)
+        try:
+            holder = os.read(handle, 1000).decode("utf-8", "replace").strip()
+            if not _lock(handle):
+                raise FolderTaken(errno.EBUSY, _taken(holder), str(folder))
+            if holder and not holder.startswith(_MARK):
+                reason = f"it holds a file {LOCK} that this package has not written"
+                raise OSError(errno.EEXIST, reason, str(folder))
+            if _same_file(handle, path):
+                return handle
+        except BaseException:
+            os.close(handle)
+            raise
+        os.close(handle)  # its holder has removed it between the two calls
+
+
+def _taken(holder: str) -> str:
+    who = holder.removeprefix("formation: ") if holder.startswith(_MARK) else "another process"
+    return f"a run that is not finished writes there ({who}); end it or choose another folder"
+
+
+def _same_file(handle: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(handle), os.stat(path))
+    except FileNotFoundError:
+        return False
+
+
+def _command() -> str:
+    """What this process runs, on one line that is not too long."""
+    text = " ".join(" ".join(sys.orig_argv).split())
+    return text if len(text) <= 200 else f"{text[:197]}..."
+
+
+# -- the operating system's locks -------------------------------------------------------------------
+
+_BINARY = getattr(os, "O_BINARY", 0)
+_NONBLOCK = getattr(os, "O_NONBLOCK", 0)  # a pipe of the lock's name must not hold us up
+
+if sys.platform == "win32":
+    import msvcrt
+
+    def _lock(handle: int) -> bool:
+        """Lock an open file for this process, without waiting. False where another one has."""
+        at = os.lseek(handle, 0, os.SEEK_CUR)
+        os.lseek(handle, 2**30, os.SEEK_SET)  # past the text, which others may then read
+        try:
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        finally:
+            os.lseek(handle, at, os.SEEK_SET)
+        return True
+
+else:
+    import fcntl
+
+    def _lock(handle: int) -> bool:
+        """Lock an open file for this process, without waiting. False where another one has.
+
+        True also on a file system without locks: two runs there are not told of each other.
+        """
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:
+            return True
+        return True

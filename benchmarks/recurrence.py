@@ -5,7 +5,8 @@ trained from scratch for the same number of processor minutes on one core and sc
 seeds: `train.ppo`'s perceptron with its last 1, 4 and 8 observations, and sb3-contrib's RecurrentPPO,
 whose actor and critic each have an LSTM and see one observation. All have hidden layers of 64, the same
 environment, exploration, discounts and inputs. Processor time and not wall time is counted, so that what
-else the machine does hardly matters. Needs the `train` extra and `pip install sb3-contrib`.
+else the machine does hardly matters, and PyTorch has one thread. Needs the `train` extra and
+`pip install sb3-contrib`.
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ from math import isfinite, log
 from pathlib import Path
 from time import process_time
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+from baselines import console
+from train.command_line import wait_passively
 
 if TYPE_CHECKING:
     from train.options import Options
@@ -220,19 +224,37 @@ def _count(text: str) -> int:
     return int(text)
 
 
+@console.command
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status."""
     parser = argparse.ArgumentParser(
         prog="benchmarks.recurrence",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        description="Compare memories against measurement noise: the last 1, 4 and 8 observations "
+        "with PPO, and an LSTM with RecurrentPPO, trained for the same processor time on one thread "
+        "and scored on the same episodes.",
         allow_abbrev=False,
     )
     add = parser.add_argument
-    add("--minutes", type=_minutes, default=4.0, help="for each policy (default: %(default)s)")
-    add("--seeds", type=_count, default=1, help="runs of each (default: %(default)s)")
-    add("--episodes", type=_count, default=32, help="to score each (default: %(default)s)")
+    add(
+        "--minutes",
+        type=_minutes,
+        default=4.0,
+        help="processor time for each policy, in minutes (default: %(default)s)",
+    )
+    add(
+        "--seeds",
+        type=_count,
+        default=1,
+        help="number of runs of each policy (default: %(default)s)",
+    )
+    add(
+        "--episodes",
+        type=_count,
+        default=32,
+        help="number of episodes that score each policy (default: %(default)s)",
+    )
     given = parser.parse_args(arguments)
+    wait_passively()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # theirs, at import
         try:

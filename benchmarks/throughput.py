@@ -23,6 +23,7 @@ import numba
 import numpy as np
 
 import formation_env
+from baselines import console
 from benchmarks import grid, report, single, startup
 from formation_env.config import LEVELS, MAX_FOLLOWERS
 
@@ -69,24 +70,82 @@ def _positive(text: str) -> float:
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     """The options; `--quick` changes the defaults of those not given."""
-    parser = argparse.ArgumentParser("benchmarks.throughput", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(
+        "benchmarks.throughput",
+        description="Time the environment beside its neighbours and beside a bare kernel.",
+    )
     add = parser.add_argument
-    add("--quick", action="store_true", help="fewer combinations and rounds, no start-up times")
-    add("--worlds", type=_numbers, help="default 1,16,256,4096,65536; quick 1,256,4096")
-    add("--followers", type=_followers, help="default 2,16,256; quick 2,16")
-    add("--threads", type=_numbers, default=[1, 2], help="default 1,2")
-    add("--scenarios", type=_names(("nominal", "paper")), default=["nominal", "paper"])
+    add("--quick", action="store_true", help="fewer combinations and rounds, and no start-up times")
+    add(
+        "--worlds",
+        type=_numbers,
+        metavar="N,N",
+        help="numbers of worlds (default: 1,16,256,4096,65536; quick: 1,256,4096)",
+    )
+    add(
+        "--followers",
+        type=_followers,
+        metavar="N,N",
+        help="numbers of followers (default: 2,16,256; quick: 2,16)",
+    )
+    add(
+        "--threads",
+        type=_numbers,
+        default=[1, 2],
+        metavar="N,N",
+        help="numbers of threads (default: 1,2)",
+    )
+    add(
+        "--scenarios",
+        type=_names(("nominal", "paper")),
+        default=["nominal", "paper"],
+        metavar="NAMES",
+        help="nominal, paper or both (default: both)",
+    )
     add(
         "--actions",
         type=_names(tuple(LEVELS)),
-        help="default all, quick wrench; all but the first at the first number of followers only",
+        metavar="NAMES",
+        help="action levels; all but the first are timed at the first number of followers only "
+        "(default: all; quick: wrench)",
     )
-    add("--rounds", type=_numbers, help="samples of each figure; default 7, quick 3")
-    add("--seconds", type=_positive, help="length of a sample; default 0.05, quick 0.02")
-    add("--memory", type=_positive, default=8.0, help="GiB that a combination may need; default 8")
-    add("--peers", action=argparse.BooleanOptionalAction, default=True, help="time neighbours too")
-    add("--startup", action=argparse.BooleanOptionalAction, help="import, compile, growth")
-    add("--output", type=Path, default=Path("results/benchmarks"))
+    add(
+        "--rounds",
+        type=_numbers,
+        metavar="N",
+        help="number of samples of each figure (default: 7; quick: 3)",
+    )
+    add(
+        "--seconds",
+        type=_positive,
+        metavar="S",
+        help="length of a sample in seconds (default: 0.05; quick: 0.02)",
+    )
+    add(
+        "--memory",
+        type=_positive,
+        default=8.0,
+        metavar="GIB",
+        help="memory in GiB beyond which a combination is left out (default: 8)",
+    )
+    add(
+        "--peers",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="time the neighbours that are installed too (default: yes)",
+    )
+    add(
+        "--startup",
+        action=argparse.BooleanOptionalAction,
+        help="measure import, compiling and growth of memory too (default: yes; quick: no)",
+    )
+    add(
+        "--output",
+        type=Path,
+        default=Path("results/benchmarks"),
+        metavar="DIR",
+        help="folder for the figures (default: results/benchmarks)",
+    )
     options = parser.parse_args(arguments)
     full = {
         "worlds": [1, 16, 256, 4096, 65536],
@@ -200,6 +259,7 @@ def write(figures: Figures, folder: Path, draw: bool = True) -> None:
         report.plot(figures["grid"], folder / "throughput.png")
 
 
+@console.command
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark; returns the exit status."""
     options = parse(arguments)

@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import hashlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -130,6 +131,16 @@ class _Announcement(event.Listener):  # type: ignore[misc]
 
 
 _announcement = _Announcement()
+
+
+@contextmanager
+def untold() -> Iterator[None]:
+    """Within, nobody is told that a slow kernel is compiled: for who tells it in another way."""
+    before, _announcement._told = _announcement._told, True
+    try:
+        yield
+    finally:
+        _announcement._told = before
 
 
 def announced(kernel: F) -> F:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import os
 import sys
+import warnings
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -14,7 +16,9 @@ import pytest
 from baselines import evaluate as command
 from baselines import make_policy, rollout
 from baselines.metrics import EPISODE
+from baselines.report import to_json
 from baselines.scoring import Report, evaluate
+from baselines.writing import claim
 from formation_env import SCENARIOS, configure
 
 SHORT = 4.0  # s
@@ -77,7 +81,7 @@ def test_threads_do_not_matter(monkeypatch: pytest.MonkeyPatch, short_report: Re
     monkeypatch.setattr(rollout.chunks, "__defaults__", (9,))
     configs = {name: s.config for name, s in short_report.scenarios.items()}
     other = evaluate(configs, ["expert", "random", "pd", "hover"], episodes=5, seed=7, threads=3)
-    assert command.report.to_json(other) == command.report.to_json(short_report)
+    assert to_json(other) == to_json(short_report)
 
 
 def test_every_policy_flies_the_same_worlds() -> None:
@@ -125,64 +129,6 @@ def test_anchors_fly_unasked(short_report: Report) -> None:
     assert alone["pd"] == short_report.scenarios["nominal"].results["pd"]
 
 
-# -- what is written ------------------------------------------------------------------------------
-
-
-def test_json_keeps_its_layout(short_report: Report) -> None:
-    document = json.loads(command.report.to_json(short_report), parse_constant=pytest.fail)
-    assert document["schema"] == 1
-    assert (document["seed"], document["episodes"]) == (7, 5)
-    assert set(document["metrics"]["effort"]) == {"unit", "better", "meaning"}
-    swarm = document["scenarios"]["swarm"]
-    assert (swarm["action"], swarm["followers"], swarm["duration"]) == ("wrench", 16, SHORT)
-    random = swarm["policies"]["random"]
-    assert set(random) == {"score", "metrics", "difference_to_expert", "failures"}
-    assert list(random["metrics"]) == list(EPISODE)
-    assert set(random["metrics"]["effort"]) == {"value", "low", "high", "episodes"}
-    assert random["metrics"]["settling_time"]["value"] is None
-    failed = round(5 * random["metrics"]["failed"]["value"])
-    assert sum(random["failures"].values()) == failed
-
-
-def test_table_has_a_line_for_each_result(short_report: Report) -> None:
-    lines = command.report.table(short_report).splitlines()
-    assert len(lines) == 1 + 2 * 4
-    assert len({len(line) for line in lines}) == 1
-    assert lines[1].split()[:3] == ["nominal", "expert", "1.000"]
-
-
-def test_markdown_tables_are_whole(short_report: Report) -> None:
-    """Every row of a table has as many cells as its head: a `|` in a text would break that."""
-    text = command.report.markdown(short_report).replace("\\|", "")
-    tables = [block.splitlines() for block in text.split("\n\n") if block.startswith("|")]
-    assert len(tables) == 4
-    for rows in tables:
-        assert len({row.count("|") for row in rows}) == 1
-
-
-def test_a_policy_above_the_expert_is_explained(short_report: Report) -> None:
-    nominal = short_report.scenarios["nominal"]
-    assert command.explanations(Report(7, 5, {"nominal": nominal})) == []
-    pd = nominal.results["pd"]
-    ahead = {name: e._replace(value=0.1) for name, e in pd.differences.items()}
-    better = pd._replace(score=pd.score._replace(value=1.25), differences=ahead)
-    scenario = nominal._replace(results={**nominal.results, "pd": better})
-    (remark,) = command.explanations(Report(7, 5, {"nominal": scenario}))
-    assert "`pd` scores 1.250" in remark
-    # k1 = 0.2 in the plane; s^2 + 2 s + 0.2 in height; s^2 + s' (1.5 s + 0.5), s' = 5 / sqrt(50).
-    assert "-0.20 1/s (planner, plane), -0.11 1/s (planner, height)" in remark
-    assert "-0.53 1/s (tracker" in remark
-
-
-def test_scores_without_a_scale_are_called_meaningless() -> None:
-    """In the first tick nobody can be better than hover."""
-    config = configure("nominal", duration=0.02)
-    remarks = command.explanations(evaluate({"nominal": config}, ["hover"], episodes=3))
-    assert remarks == [
-        "On `nominal` the expert is no better than hover, so the scores there mean nothing."
-    ]
-
-
 # -- the command ----------------------------------------------------------------------------------
 
 QUICK = ["--scenarios", "nominal", "--policies", "hover", "--episodes", "2", "--duration", "0.1"]
@@ -217,10 +163,10 @@ def test_scenarios_at_other_levels(tmp_path: Path) -> None:
     [
         (
             ["--policies", "expert,best"],
-            "'best': expected some of expert, expert-tuned, pd, hover, random",
+            "'best': expected one of 'expert', 'expert-tuned', 'pd', 'hover', 'random'",
         ),
         (["--policies", "mine.safetensors"], "mine.safetensors: cannot be read: No such file"),
-        (["--policies", ""], "'': expected some of"),
+        (["--policies", ""], "'': expected one of"),
         (["--scenarios", "windy"], "'windy': expected some of nominal, paper"),
         (["--scenarios", "nominal:fast"], "'nominal:fast': expected after the colon one of wrench"),
         (["--scenarios", "nominal:"], "'nominal:': expected after the colon"),
@@ -258,7 +204,7 @@ def test_output_that_cannot_be_written_is_noticed_first(
 ) -> None:
     (tmp_path / "file").write_text("mine", encoding="utf-8")
     (tmp_path / "busy" / "results.json").mkdir(parents=True)
-    monkeypatch.setattr(command, "evaluate", pytest.fail)
+    monkeypatch.setattr(command.scoring, "evaluate", pytest.fail)
     for folder, problem in (("file", "cannot write into"), ("busy", "is a folder")):
         with pytest.raises(SystemExit) as stop:
             command.main([*QUICK, "--output", str(tmp_path / folder)])
@@ -279,22 +225,6 @@ def test_read_only_output(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "cannot write into" in capsys.readouterr().err
 
 
-def test_interrupted_writing_leaves_the_old_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "results.json"
-    command.write_text(path, "old")
-
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(command.os, "replace", full)
-    with pytest.raises(OSError, match="No space"):
-        command.write_text(path, "new")
-    assert path.read_text(encoding="utf-8") == "old"
-    assert list(tmp_path.iterdir()) == [path]
-
-
 def test_a_full_disk_is_an_error_message(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -306,44 +236,48 @@ def test_a_full_disk_is_an_error_message(
     assert "No space left on device" in capsys.readouterr().err
 
 
-def test_interruption_stops_the_flight(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Whatever stops one worker stops all of them, and no results appear."""
+def test_two_runs_do_not_share_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Both ended well, and the results of one were gone."""
+    with claim(tmp_path), pytest.raises(SystemExit) as stop:
+        command.main([*QUICK, "--output", str(tmp_path)])
+    assert stop.value.code == 2
+    error = capsys.readouterr().err
+    assert f"{tmp_path}: a run that is not finished writes there (process {os.getpid()} " in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
 
-    def interrupted(*_: object) -> None:
-        raise KeyboardInterrupt
+
+def test_warnings_come_once_and_last(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fly = rollout.fly
+
+    def warned(*args: Any, **options: Any) -> Any:
+        warnings.warn("gains of another scenario", UserWarning, stacklevel=1)
+        return fly(*args, **options)
+
+    monkeypatch.setattr("baselines.scoring.fly", warned)
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        assert command.main([*QUICK, "--output", str(tmp_path)]) == 0
+    shown = capsys.readouterr()
+    assert shown.out.count("warning: gains of another scenario") == 1
+    assert "gains of another" not in shown.err
+    last = shown.out.split("\n\n")[-1]
+    assert last.startswith("intervals, all metrics and remarks:") and "results.md" in last
+
+
+@pytest.mark.parametrize("early", [True, False])
+def test_interruption_stops_the_flight(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], early: bool
+) -> None:
+    """Whatever stops one worker stops all of them, and no results appear; also while compiling."""
+
+    def interrupted(*_: object, most: int | None = None) -> None:
+        if (most is not None) == early:
+            raise KeyboardInterrupt
 
     monkeypatch.setattr("baselines.scoring.fly", interrupted)
     assert command.main([*QUICK, "--output", str(tmp_path)]) == 130
     assert "nothing was written" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
-
-
-def test_leaderboard_and_extract(tmp_path: Path) -> None:
-    readme = tmp_path / "README.md"
-    frame = f"# Title\n\n{command.BEGIN}\n{{}}\n{command.END}\n\nRest\n"
-    readme.write_text(frame.format("old"), encoding="utf-8")
-    arguments = [*QUICK, "--output", str(tmp_path / "out"), "--leaderboard", str(tmp_path)]
-    assert command.main(arguments) == 0
-    board = (tmp_path / "LEADERBOARD.md").read_text(encoding="utf-8")
-    repeat = "--policies hover --scenarios nominal --episodes 2 --duration 0.1 --leaderboard"
-    assert f"python -m baselines.evaluate {repeat}\n" in board
-    text = readme.read_text(encoding="utf-8")
-    assert "| `hover` | 0.000 |" in board
-    assert "| `hover` | 0.00 |" in text
-    assert text.startswith("# Title") and text.endswith("Rest\n") and "old" not in text
-    # Again: the same files to the letter.
-    assert command.main(arguments) == 0
-    assert (tmp_path / "LEADERBOARD.md").read_text(encoding="utf-8") == board
-    assert readme.read_text(encoding="utf-8") == text
-
-
-def test_readme_without_markers_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "README.md").write_text("no place", encoding="utf-8")
-    with pytest.raises(SystemExit):
-        command.main([*QUICK, "--output", str(tmp_path / "out"), "--leaderboard", str(tmp_path)])
-    assert command.BEGIN in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()

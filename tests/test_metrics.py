@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from math import sqrt
 from typing import Any
 
@@ -10,7 +11,9 @@ import pytest
 
 from baselines.intervals import Estimate, estimate, mean, normalised, summarise
 from baselines.metrics import EPISODE, KINDS, SETTLED, add_tick, begin, episodes
-from formation_env import FormationConfig, configure
+from baselines.registry import make_policy
+from baselines.rollout import fly as fly_policy
+from formation_env import FormationConfig, configure, splines
 from formation_env.memory import ERROR, FAILED, OUTPUTS, SEPARATION, SLOT
 from formation_env.task import COLLISION
 
@@ -220,3 +223,15 @@ def test_settling_time_is_a_median() -> None:
     summary = summarise(columns)
     assert summary["settling_time"].value == 2.0
     assert summary["slot_error_rms"].value == 11.0
+
+
+def test_a_crash_of_the_leader_is_a_failure_of_its_own_kind() -> None:
+    """A path that nobody can fly: the leader hits the floor, and no follower is to blame for it."""
+    path = splines.waypoints([0, 1, 2], [[0, 0, -1.5], [8, 0, -1.5], [0, 0, -1.5]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        config = configure("nominal", trajectory=path, duration=2.0)
+    columns = fly_policy(make_policy("expert", config), range(3))
+    assert [KINDS[int(k)] for k in columns["failure"]] == ["leader"] * 3
+    assert (columns["failed"] == 1.0).all()
+    assert len(set(KINDS)) == len(KINDS)

@@ -17,7 +17,7 @@ from episodes import same
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # their own, at import
-    for module in ("torch", "stable_baselines3", "tensorboard", "rich", "tyro"):
+    for module in ("torch", "stable_baselines3", "tensorboard", "tyro"):
         pytest.importorskip(module)
     import torch
     from stable_baselines3 import PPO
@@ -536,7 +536,7 @@ def test_the_profile_adds_up(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert sum(parts) == pytest.approx(float(lines[-1][0].split()[-2]), abs=0.05)
 
 
-@pytest.mark.parametrize("missing", ["tyro", "stable_baselines3", "torch", "tensorboard", "rich"])
+@pytest.mark.parametrize("missing", ["tyro", "stable_baselines3", "torch", "tensorboard"])
 def test_a_missing_extra_is_named(
     missing: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

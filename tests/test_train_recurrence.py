@@ -11,7 +11,7 @@ import pytest
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # their own, at import
-    for module in ("torch", "stable_baselines3", "sb3_contrib", "tensorboard", "rich", "tyro"):
+    for module in ("torch", "stable_baselines3", "sb3_contrib", "tensorboard", "tyro"):
         pytest.importorskip(module)
     from benchmarks import recurrence
 

@@ -29,7 +29,7 @@ class Keeper(BaseCallback):
     """Scores, keeps and stops a run between updates, where nothing is half done.
 
     `policy` gives the policy as it is now, `save_policy` and `save_run` write it and everything; `stop`
-    is asked whether somebody wants the run to end. What they raise ends it.
+    is asked whether somebody wants the run to end, `told` how far it is. What they raise ends it.
     """
 
     def __init__(
@@ -42,12 +42,14 @@ class Keeper(BaseCallback):
         save_run: Callable[[Diary], None],
         limits: tuple[float, float, int],
         stop: Callable[[], bool],
+        told: Callable[[int, float, list[Row]], None],
     ) -> None:
         super().__init__()
         self.rows, self._next = list(diary.rows), diary.next_evaluation
         self._earlier, self._begun = diary.minutes, perf_counter()
         self._folder, self._judge, self._policy = folder, judge, policy
         self._save_policy, self._save_run, self._stop = save_policy, save_run, stop
+        self._told = told
         self._most_minutes, self._save_every, self._evaluate_every = limits
         self._saved = self._begun
         self._stopped = False
@@ -62,6 +64,7 @@ class Keeper(BaseCallback):
         late, asked = self.minutes >= self._most_minutes, self._stop()
         self._stopped = late or asked
         self._boundary(last=late, save=asked)
+        self._told(self.num_timesteps, self.minutes, self.rows)
 
     def _on_step(self) -> bool:
         return not self._stopped
@@ -69,6 +72,7 @@ class Keeper(BaseCallback):
     def _on_training_end(self) -> None:
         if not self._stopped:
             self._boundary(last=True, save=True)
+        self._told(self.num_timesteps, self.minutes, self.rows)
 
     def _boundary(self, last: bool, save: bool) -> None:
         """Evaluate if it is time to, and write if that or enough time has passed."""

@@ -21,6 +21,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NoReturn, final
 
+from baselines import console
 from baselines.cells import scored as shown
 from baselines.cells import signed
 from baselines.scoring import EPISODES
@@ -54,23 +55,43 @@ def _method(text: str) -> str:
 def _parser() -> _Parser:
     parser = _Parser(
         prog=PROGRAM,
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        description="Write train/README.md and its pictures from what is checked in, or check in a "
+        "run. Needs a checkout, and the plot extra for the pictures.",
         allow_abbrev=False,
     )
     what = parser.add_mutually_exclusive_group()
-    what.add_argument("--ship", type=Path, metavar="RUN", help="folder of a run")
-    what.add_argument("--curve", type=Path, nargs="+", metavar="RUN", help="folders of runs")
-    what.add_argument("--generalise", action="store_true", help="takes minutes")
+    what.add_argument(
+        "--ship",
+        type=Path,
+        metavar="RUN",
+        help="check in the policy of the run in this folder, scored on seeds 0 to 99, and its curve",
+    )
+    what.add_argument(
+        "--curve",
+        type=Path,
+        nargs="+",
+        metavar="RUN",
+        help="check in the curves of the runs in these folders",
+    )
+    what.add_argument(
+        "--generalise",
+        action="store_true",
+        help="score the policies of nominal on tasks that they have not seen; takes minutes",
+    )
     add = parser.add_argument
-    add("--method", type=_method, help="with --ship or --curve: its name, if not the policy's own")
+    add(
+        "--method",
+        type=_method,
+        help="with --ship or --curve: name of the method (default: the one in the policy's card)",
+    )
     add("--threads", type=_threads, default=os.cpu_count() or 1, metavar="N",
-        help="workers (default: %(default)s)")  # fmt: skip
+        help="number of threads that fly episodes (default: one for each core)")  # fmt: skip
     add("--checkout", type=Path, default=_CHECKOUT, metavar="DIR",
-        help="which to change (default: the one this command comes from)")  # fmt: skip
+        help="checkout to change (default: the one this command comes from)")  # fmt: skip
     return parser
 
 
+@console.command
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
     parser = _parser()

@@ -8,15 +8,16 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from baselines.reading import require_regular
 from baselines.writing import write_bytes
-
-Arrays = dict[str, NDArray[Any]]
+from formation_env.checks import integer, number, require, shown
+from train.saved import Arrays, fact, moments, take
 
 VERSION = 1
 NAME = "checkpoint.safetensors"
 _KEY = "run"
+_TORCH = tuple(torch.get_rng_state().shape)
 
 
 def write(path: Path, data: bytes) -> None:
@@ -27,12 +28,13 @@ def write(path: Path, data: bytes) -> None:
         raise OSError(problem.errno, f"cannot write: {problem.strerror}", str(path)) from problem
 
 
-def prepare_folder(folder: Path) -> None:
-    """Make it if need be. Raises `OSError` where nothing can be written into it."""
-    folder.mkdir(parents=True, exist_ok=True)
-    probe = folder / ".writable"
-    write(probe, b"")
-    probe.unlink()
+def require_there(path: Path) -> None:
+    """Raises `ValueError` where there is no such file."""
+    try:
+        require_regular(path)
+    except OSError as problem:
+        reason = problem.strerror or problem
+        raise ValueError(f"{path}: not a checkpoint that can be read ({reason})") from None
 
 
 def save(path: Path, facts: dict[str, Any], arrays: Arrays) -> None:
@@ -45,21 +47,25 @@ def save(path: Path, facts: dict[str, Any], arrays: Arrays) -> None:
 
 
 def load(path: Path) -> tuple[dict[str, Any], Arrays]:
-    """What `save` wrote. Raises `ValueError` naming the file and what is amiss."""
+    """What `save` wrote; `train.saved` checks it. Raises `ValueError` naming the file and what is amiss."""
     from safetensors import SafetensorError, safe_open
 
+    require_there(path)
     try:
         with safe_open(path, framework="np") as file:
             text = (file.metadata() or {}).get(_KEY)
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (OSError, SafetensorError) as problem:
-        raise ValueError(f"{path}: not a checkpoint that can be read ({problem})") from None
+    except (OSError, SafetensorError, TypeError, AttributeError, KeyError) as problem:
+        # The latter three of a kind of number that NumPy has not.
+        reason = problem.strerror if isinstance(problem, OSError) else None
+        told = " ".join(str(reason or problem).split())[:200]
+        raise ValueError(f"{path}: not a checkpoint that can be read ({told})") from None
     try:
         facts = json.loads(text) if text is not None else None
-    except ValueError:
+    except (ValueError, RecursionError):  # the latter of a thousand brackets
         facts = None
     if not isinstance(facts, dict) or facts.get("version") != VERSION:
-        found = facts.get("version") if isinstance(facts, dict) else None
+        found = shown(facts.get("version")) if isinstance(facts, dict) else "none"
         raise ValueError(f"{path}: not a checkpoint of version {VERSION} (found {found})")
     return facts, arrays
 
@@ -76,20 +82,12 @@ def optimiser_state(optimiser: torch.optim.Optimizer) -> Arrays:
     }
 
 
-def moments(arrays: Arrays) -> dict[int, Arrays]:
-    """What `optimiser_state` gave, by the parameter's number."""
-    numbered: dict[int, Arrays] = {}
-    for key, array in arrays.items():
-        index, name = key.split(".")
-        numbered.setdefault(int(index), {})[name] = array
-    return numbered
-
-
 def restore_optimiser(optimiser: torch.optim.Optimizer, arrays: Arrays) -> None:
-    """Take back what `optimiser_state` gave."""
+    """Take back what `optimiser_state` gave, from the group `optimiser`."""
+    shapes = [tuple(p.shape) for part in optimiser.param_groups for p in part["params"]]
     state = {
         index: {name: torch.from_numpy(array.copy()) for name, array in each.items()}
-        for index, each in moments(arrays).items()
+        for index, each in moments(arrays, shapes).items()
     }
     groups = optimiser.state_dict()["param_groups"]
     optimiser.load_state_dict({"state": state, "param_groups": groups})
@@ -102,15 +100,24 @@ def random_state() -> tuple[dict[str, Any], Arrays]:
     return {"position": int(position), "has_normal": has_normal, "normal": normal}, arrays
 
 
-def restore_random(facts: dict[str, Any], arrays: Arrays) -> None:
-    """Take back what `random_state` gave."""
-    torch.set_rng_state(torch.from_numpy(arrays["torch"].copy()))
-    np.random.set_state(  # noqa: NPY002
-        ("MT19937", arrays["numpy"], facts["position"], facts["has_normal"], facts["normal"])
-    )
+def restore_random(facts: Any, arrays: Arrays) -> None:
+    """Take back what `random_state` gave, arrays from the group `random`.
 
-
-def group(arrays: Arrays, name: str) -> Arrays:
-    """Those whose names begin with `name/`, without it."""
-    start = f"{name}/"
-    return {key[len(start) :]: x for key, x in arrays.items() if key.startswith(start)}
+    NumPy takes any position and reads there, wherever that is.
+    """
+    require(isinstance(facts, dict), "random", facts, "an object")
+    keys = take(arrays, "random/numpy", (624,), np.uint32)
+    position = integer("random.position", fact(facts, "position"), 0, 624)
+    has_normal = integer("random.has_normal", fact(facts, "has_normal"), 0, 1)
+    normal = number("random.normal", fact(facts, "normal"), -100.0, 100.0)
+    state = torch.from_numpy(take(arrays, "random/torch", _TORCH, np.uint8).copy())
+    trial = torch.Generator()
+    try:
+        trial.set_state(state)
+    except RuntimeError as problem:
+        raise ValueError(f"random/torch: {problem}") from None
+    # One normal number may lie ready in it.
+    drawn = torch.empty(2, dtype=torch.float64).normal_(generator=trial)
+    require(bool(drawn.abs().max() < 100.0), "random/torch", drawn.tolist(), "a generator's state")
+    torch.set_rng_state(state)
+    np.random.set_state(("MT19937", keys, position, has_normal, normal))  # noqa: NPY002

@@ -14,7 +14,9 @@ import torch
 
 import formation_env
 from baselines import files, make_policy
-from train.checkpoint import prepare_folder, write
+from baselines.progress import compiling
+from baselines.writing import Claim, claim
+from train.checkpoint import write
 from train.cloning import Clone, Flight, Memory
 from train.evaluation import Judge, Row, line, to_csv
 from train.imitate import Options
@@ -36,9 +38,20 @@ class Course:
 
     def __init__(self, options: Options) -> None:
         config = options.check()
-        teacher = make_policy(options.teacher, config)
+        make_policy(options.teacher, config)  # refused before the folder is made
         self.options, self.config = options, config
-        _prepare(options)
+        self._claim = _claimed(options)
+        try:
+            with compiling(options.quiet):
+                self._prepare()
+        except BaseException:
+            self._claim.release()
+            raise
+
+    def _prepare(self) -> None:
+        """Everything that is made of the options; compiles what is not compiled yet."""
+        options, config = self.options, self.config
+        teacher = make_policy(options.teacher, config)
         torch.set_num_threads(options.threads)
         torch.manual_seed(options.seed)
         self._rng = np.random.default_rng((options.seed, 1))
@@ -66,11 +79,16 @@ class Course:
     # -- rounds -----------------------------------------------------------------------------------
 
     def take(self) -> None:
-        """All rounds."""
+        """All rounds; then others may write into the folder."""
+        with self._claim:
+            self._rounds()
+
+    def _rounds(self) -> None:
         from tqdm import trange
 
         o = self.options
-        judge = Judge(self.config, o.episodes)
+        with compiling(o.quiet):  # before the bar counts time
+            judge = Judge(self.config, o.episodes)
         self._begun = perf_counter()
         with _board(o) as board, trange(o.rounds, disable=o.quiet, unit=" rounds") as bar:
             for number in bar:
@@ -164,12 +182,14 @@ class Course:
         )
 
 
-def _prepare(options: Options) -> None:
-    """Make sure of a folder that can be written and has no policy."""
+def _claimed(options: Options) -> Claim:
+    """A folder of this run's own that has no policy yet."""
     path = options.output / BEST
+    own = claim(options.output)
     if path.exists():
+        own.release()
         raise ValueError(f"{path} exists: expected another --output")
-    prepare_folder(options.output)
+    return own
 
 
 @final

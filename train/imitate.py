@@ -19,81 +19,87 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Literal, final
 
+from baselines import console
 from formation_env import FormationConfig, configure
-from train.command_line import check, fail, refuse, repeated
+from train.command_line import check, fail, read, refuse, repeated, wait_passively
 
-PROGRAM = "train.imitate"
+PROGRAM, SCRIPT = "train.imitate", "formation-train-imitate"
 
 
 @final
 @dataclass(frozen=True)
 class Options:
-    """Clone a policy into one network, shared by all followers."""
+    """Clone a policy into one network, shared by all followers.
+
+    A teacher says what it would do, and the network learns to say the same.
+    """
 
     output: Path
-    """Folder for the policy and the log."""
+    """Folder for the policy and the log; made if it is not there."""
     scenario: str = "nominal"
-    """Which task, as in the leaderboard."""
+    """Name of the scenario that is trained on: nominal, paper, experiment, agile or swarm."""
     action: Literal["wrench", "rates", "reference"] | None = None
-    """Action level instead of the scenario's own."""
+    """Action level: wrench, rates or reference; by default the scenario's own."""
     method: Literal["bc", "dagger"] = "dagger"
-    """Who flies: the teacher, or the clone more and more."""
+    """Who flies: the teacher all the time (bc), or the clone more and more (dagger)."""
     teacher: str = "expert"
-    """Who is cloned: a policy's name, or a policy file."""
+    """Who is cloned: a policy's name, such as expert or expert-tuned, or a policy file."""
     seed: int = 0
-    """Of everything that is drawn."""
+    """Seed of everything that is drawn: initial weights, episodes, exploration."""
     history: int = 1
-    """How many observations the clone sees, the present one included."""
+    """Number of observations that the clone sees, the present one included."""
     residual: float = 0.0
-    """Learn a correction of at most this to the expert's action, who flies underneath, so that together
-    they do what the teacher does; 0 learns the action itself."""
+    """Largest correction to the expert's action that is learned, from 0 to 1 (the largest action).
+    The expert flies underneath, and together they do what the teacher does. 0 learns the action itself."""
 
     rounds: int = 40
-    """Of flying and then learning."""
+    """Number of rounds; in each, worlds are flown and then the network is fitted."""
     ticks: int = 250
-    """Flown in a round, in every world; before the first, the teacher flies an episode's length more."""
+    """Number of control ticks that every world is flown in a round.
+    Before the first round the teacher flies the length of an episode more."""
     updates: int = 300
-    """Steps of the optimiser in a round."""
+    """Number of steps of the optimiser in a round."""
     worlds: int = 64
-    """How many fly at once; what an eighth of them shows is held out."""
+    """Number of worlds that are flown at once; an eighth of them is held out to measure the error."""
     buffer: int = 4000
-    """Ticks of every world that are remembered, the latest."""
+    """Number of control ticks of every world that are remembered; the oldest are dropped."""
     share: float = 0.5
-    """Part of the worlds that the teacher flies in the second round of dagger; its square in the third,
-    and so on down to a fifth, so that what a clone that fails early never reaches is not forgotten."""
+    """Part of the worlds that the teacher flies in the second round of dagger.
+    It is squared in the third, and so on down to a fifth: what a clone that fails early never
+    reaches has to stay in memory."""
     stray: float = 30.0
-    """A world in which the teacher wants more than so many times its usual action begins again: far from
-    home there is nothing to learn for those who keep close."""
+    """A world begins again where the teacher wants more than this many times its usual action."""
     noise: float = 0.0
-    """Of executed actions, in units of the size of what is learned: shows recoveries (DART)."""
+    """Standard deviation of slow noise on executed actions, in units of the teacher's usual action.
+    It has the teacher show how to recover (DART)."""
     explore: float = 0.0
-    """Of white noise on executed actions, all the time, in the unit of PPO's `--std`: a clone that has
-    always flown smoothly takes the last action's least change for a sign, and PPO's exploration throws
-    it off; one that PPO is to go on from should know it."""
+    """Standard deviation of white noise on executed actions, in units of the largest action.
+    A clone that training goes on from with PPO should know it, since PPO explores so."""
     magnify: float = 50.0
-    """At most so many times is an input magnified that hardly varies. A clone that PPO is to go on from
-    is better without (1): what is large by itself is thrown about by small steps of the weights."""
+    """Largest factor by which an input that hardly varies is magnified.
+    A clone that training goes on from with PPO is better with 1."""
     batch: int = 2048
-    """Samples in a step of the optimiser."""
+    """Number of samples in one step of the optimiser."""
     learning_rate: float = 3e-3
-    """At the start; it falls to nearly nothing along a cosine."""
+    """Step size of Adam at the start; it falls to nearly nothing along a cosine."""
     huber: float = 1.0
-    """Where the loss turns from squared to absolute, in units of the size of the teacher's actions."""
+    """Error at which the loss turns from squared to absolute, in units of the teacher's usual action."""
     hidden: tuple[int, ...] = (64, 64)
     """Widths of the hidden layers."""
     activation: Literal["tanh", "relu"] = "tanh"
-    """Of the hidden layers."""
+    """Activation function of the hidden layers."""
 
     evaluate_every: int = 5
-    """Rounds between two evaluations; the last round is always evaluated."""
+    """Number of rounds between two evaluations; the last round is always evaluated."""
     episodes: int = 32
-    """In an evaluation."""
+    """Number of episodes in an evaluation."""
     tensorboard: bool = False
-    """Write losses and scores for TensorBoard too."""
+    """Write losses and scores for TensorBoard too, into the folder tensorboard of the output."""
     threads: int = 1
-    """At most so many, worth it for large networks; another number of them rounds otherwise."""
+    """Number of threads of PyTorch and of the simulation; more are of use for large networks only,
+    on a machine that does nothing else. Results with another number of them differ by rounding."""
     quiet: bool = False
-    """No progress bar, no lines but the errors."""
+    """Print errors only: no progress bar and no summary."""
 
     def check(self) -> FormationConfig:
         """The task. Raises `ValueError` naming the option that is impossible."""
@@ -143,19 +149,21 @@ _REAL = {
 _IDLE = ("output", "tensorboard", "threads", "quiet")
 
 
+@console.command
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
+    wait_passively()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # theirs, at import
-            import tyro
+            import tyro  # noqa: F401
 
             from train.course import Course
     except ModuleNotFoundError as problem:
         return fail(
             PROGRAM, f'{problem.name} is not installed: pip install "formation-env[train]"', 2
         )
-    options = tyro.cli(Options, prog=f"python -m {PROGRAM}", description=__doc__, args=arguments)
+    options = read(Options, SCRIPT, arguments)
     try:
         course = Course(options)
     except ValueError as problem:
@@ -172,7 +180,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return fail(PROGRAM, f"interrupted: {course.summary()}", 130)
     if not options.quiet:
-        print(course.summary())
+        console.say(course.summary())
     return 0
 
 

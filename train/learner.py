@@ -2,29 +2,36 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cached_property
 from math import log
 from pathlib import Path
 from time import perf_counter
 from typing import Any, final
 
+import numpy as np
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure as configure_logger
-from tqdm import TqdmExperimentalWarning
 
 import formation_env
 from baselines import files
 from baselines.files import Card, Network
+from baselines.progress import compiling
+from baselines.writing import Claim, claim
+from formation_env.checks import integer, number, require
 from train import checkpoint
 from train.callbacks import Diary, Keeper, shares
-from train.evaluation import TRAINING_SEEDS, Judge, Row
+from train.evaluation import TRAINING_SEEDS, Judge
 from train.export import adopt, hidden_sizes, network
 from train.networks import FollowerPolicy, Spread
-from train.options import FINE, STD, Options, command, continued, to_json
+from train.options import FINE, FREE, STD, Options, command, to_json
+from train.progress import Progress
+from train.saved import Arrays, continued, fact, past, take, take_like
 from train.scales import CLIP, fixed_scales, state_scales
 from train.vec import FollowerVecEnv
 
@@ -96,9 +103,14 @@ class Run:
         self.entries = self.env.entries
         self.spread = Spread(self.env.config.layout)
         self.diary = Diary([], 0.0, 0)
-        self.judge = Judge(options.config(), options.episodes)
         self._keeper: Keeper | None = None
         self._total = 0.0
+        self.claim: Claim | None = None  # of the output folder
+
+    @cached_property
+    def judge(self) -> Judge:
+        """Who scores the policy. To make it flies episodes and so compiles what is not compiled yet."""
+        return Judge(self.options.config(), self.options.episodes)
 
     # -- files ------------------------------------------------------------------------------------
 
@@ -157,48 +169,65 @@ class Run:
             flat,
         )
 
-    def restore(self, facts: dict[str, Any], arrays: checkpoint.Arrays) -> None:
-        """Take back what `save` wrote."""
-        part = {name: checkpoint.group(arrays, name) for name in _GROUPS}
-        self.env.set_state(part["environment"])
-        self.policy.load_state_dict({k: torch.from_numpy(v) for k, v in part["policy"].items()})
-        checkpoint.restore_optimiser(self.policy.optimizer, part["optimiser"])
-        for name, x in part["spread"].items():
+    def restore(self, facts: dict[str, Any], arrays: Arrays) -> None:
+        """Take back what `save` wrote. Raises `ValueError` naming what is amiss; then nothing is usable."""
+        state = {name: x.numpy() for name, x in self.policy.state_dict().items()}
+        weights = take_like(arrays, "policy", state)
+        spread = {name: getattr(self.spread, name) for name in ("count", "mean", "square")}
+        seen = (self.env.num_envs, *(self.env.observation_space.shape or ()))
+        last = take(arrays, "last/obs", seen, np.float32)
+        starts = take(arrays, "last/starts", seen[:1], np.bool_)
+        self.env.reset()  # for what a state of it is made of
+        self.env.set_state(take_like(arrays, "environment", self.env.get_state()))
+        self.policy.load_state_dict({k: torch.from_numpy(v.copy()) for k, v in weights.items()})
+        checkpoint.restore_optimiser(self.policy.optimizer, arrays)
+        files.check(*self.made())
+        for name, x in take_like(arrays, "spread", spread).items():
             setattr(self.spread, name, x)
-        self.model._last_obs = part["last"]["obs"]
-        self.model._last_episode_starts = part["last"]["starts"]
-        self.model.num_timesteps, self.model._n_updates = facts["steps"], facts["updates"]
-        self.model.actor_rate = facts["actor_rate"]
-        rows = [Row(*row) for row in facts["rows"]]
-        self.diary = Diary(rows, facts["minutes"], facts["next_evaluation"])
-        checkpoint.restore_random(facts["random"], part["random"])
+        self.model._last_obs, self.model._last_episode_starts = last, starts
+        before = past(facts)
+        self.model.num_timesteps = before.steps
+        self.model._n_updates = integer("updates", fact(facts, "updates"), 0)
+        rate = number("actor_rate", fact(facts, "actor_rate"), 0.0, 1.0, strict=False)
+        self.model.actor_rate = rate
+        self.diary = Diary(before.rows, before.minutes, before.next_evaluation)
+        checkpoint.restore_random(fact(facts, "random"), arrays)
 
     # -- training ---------------------------------------------------------------------------------
 
     def train(self, stop: Callable[[], bool] = lambda: False) -> None:
-        """Train to the limit, or until `stop` says so between two updates."""
+        """Train to the limit, or until `stop` says so between two updates; then the folder is released."""
         o = self.options
+        with compiling(o.quiet):
+            judge = self.judge
+        bar = Progress(o.steps, o.minutes, o.quiet)
         self._keeper = Keeper(
             o.output,
             self.diary,
-            self.judge,
+            judge,
             self.made,
             lambda path, made: files.save(path, *made),
             self.save,
             (float("inf") if o.minutes is None else o.minutes, o.save_every, o.evaluate_every),
             stop,
+            bar.show,
         )
         begun = perf_counter()
-        with warnings.catch_warnings():
-            # Of the progress bar, which is a rich one.
-            warnings.simplefilter("ignore", TqdmExperimentalWarning)
+        try:
             self.model.learn(
                 max(0, o.steps - self.model.num_timesteps),
                 [_Measure(self)] * (o.normalise == "running") + [self._keeper],
                 reset_num_timesteps=False,
-                progress_bar=not o.quiet,
             )
+        finally:
+            bar.close()
+            self.release()
         self._total = perf_counter() - begun
+
+    def release(self) -> None:
+        """Let other runs write into the folder."""
+        if self.claim is not None:
+            self.claim.release()
 
     def profile(self) -> str:
         """Where the time went."""
@@ -223,9 +252,6 @@ class Run:
             f"and {row.minutes:.1f} minutes; best {best.score:.3f} at {best.steps:,}: "
             f"{self.options.output / 'best.safetensors'}"
         )
-
-
-_GROUPS = ("random", "environment", "policy", "optimiser", "spread", "last")
 
 
 @final
@@ -254,35 +280,68 @@ class _Measure(BaseCallback):
 
 
 def prepare(options: Options) -> Run:
-    """A run that is ready to train, in a folder that can be written.
+    """A run that is ready to train, in a folder that is its own until `train` has ended.
 
     Raises `ValueError` for options that cannot be, `OSError` for the folder.
     """
     path = options.output / checkpoint.NAME
+    source = None
     if options.resume:
-        return _resumed(path, options)
-    if path.exists():
-        raise ValueError(f"{path} exists: go on with --resume, or choose another folder")
-    source = None if options.init is None else files.load(options.init)
-    if source is not None:
+        checkpoint.require_there(path)
+    elif options.init is not None:
+        source = files.load(options.init)
         options = _fitted(options, *source)
-    checkpoint.prepare_folder(options.output)
-    return Run(options, _method(options, source), source)
+    own = claim(options.output)
+    try:
+        if options.resume:
+            run = _resumed(path, options)
+        elif path.exists():
+            raise ValueError(f"{path} exists: go on with --resume, or choose another folder")
+        else:
+            run = Run(options, _method(options, source), source)
+    except BaseException:
+        own.release()
+        raise
+    run.claim = own
+    return run
+
+
+# What may come of building a run for options and numbers that do not fit one another.
+_UNFIT = (ValueError, TypeError, KeyError, IndexError, RuntimeError, OverflowError, MemoryError)
 
 
 def _resumed(path: Path, given: Options) -> Run:
     facts, arrays = checkpoint.load(path)
     try:
-        options = continued(facts.get("options", {}), given)
-    except ValueError as problem:
-        raise ValueError(f"{path}: {problem}") from None
-    checkpoint.prepare_folder(options.output)
-    try:
-        run = Run(options, facts["method"])
+        options = continued(fact(facts, "options"), given, FREE)
+        _require_sizes(options, arrays)
+        run = Run(options, _known_method(fact(facts, "method")))
         run.restore(facts, arrays)
-    except (KeyError, RuntimeError, TypeError, ValueError) as problem:
-        raise ValueError(f"{path}: does not fit its own options ({problem})") from None
+    except _UNFIT as problem:
+        told = " ".join(str(problem).split())[:400]
+        what = "" if isinstance(problem, ValueError) else "does not fit its own options: "
+        raise ValueError(f"{path}: {what}{told or type(problem).__name__}") from None
     return run
+
+
+def _require_sizes(options: Options, arrays: Arrays) -> None:
+    """That the options ask for no more than the arrays hold, before anything of that size is made."""
+    rows = options.worlds * options.training_config().followers
+    seen = arrays.get("last/obs", np.zeros(0))
+    require(seen.shape[:1] == (rows,), "options.worlds", options.worlds, "as many as were saved")
+    entries = options.history * options.config().layout.size
+    fits = seen.ndim == 2 and seen.shape[1] >= entries
+    require(fits, "options.history", options.history, "as many as were saved")
+    for i, width in enumerate(options.hidden):
+        layer = arrays.get(f"policy/mlp_extractor.policy_net.{2 * i}.weight", np.zeros(0))
+        require(layer.shape[:1] == (width,), "options.hidden", options.hidden, "those saved")
+
+
+def _known_method(name: Any) -> str:
+    """The method's name as a policy's card takes it."""
+    good = isinstance(name, str) and re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", name) is not None
+    require(good and len(name) <= 100, "method", name, "words of letters and digits with hyphens")
+    return str(name)
 
 
 def _fitted(options: Options, card: Card, net: Network) -> Options:

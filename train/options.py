@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
-from dataclasses import MISSING, asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from formation_env import FormationConfig, configure
-from train.command_line import check, flag, repeated
+from train.command_line import check, repeated
+from train.saved import defaults
 
 # Of the exploration at the start, by action level: about how far apart the actions are that matter.
 STD = {"wrench": 0.05, "rates": 0.05, "reference": 0.3}
@@ -20,88 +20,92 @@ class Options:
     """Train one policy, shared by all followers, with PPO."""
 
     output: Path
-    """Folder for the policies, the log and the checkpoint."""
+    """Folder for the policies, the log and the checkpoint; made if it is not there."""
     scenario: str = "nominal"
-    """Which task, as in the leaderboard."""
+    """Name of the scenario that is trained on: nominal, paper, experiment, agile or swarm."""
     action: Literal["wrench", "rates", "reference"] | None = None
-    """Action level instead of the scenario's own."""
+    """Action level: wrench, rates or reference; by default the scenario's own."""
     steps: int = 20_000_000
-    """Stop after so many agent steps: ticks times followers times worlds."""
+    """Stop after this many agent steps; one is one control tick of one follower."""
     minutes: float | None = None
-    """Stop after so many minutes, evaluations included, if that is earlier."""
+    """Stop after this many minutes of wall time, if that is earlier; by default no limit of time."""
     seed: int = 0
-    """Of everything that is drawn."""
+    """Seed of everything that is drawn: initial weights, episodes, exploration."""
     resume: bool = False
-    """Continue the run in the output folder with the options that it was started with; of those given
-    here only steps, minutes, profile and quiet count."""
+    """Continue the run in the output folder with the options that it was started with.
+    Of those given here only steps, minutes, profile and quiet count."""
     init: Path | None = None
-    """Start from the actor in a policy file."""
+    """Policy file whose actor training starts from; by default an untrained one."""
     residual: float = 0.0
-    """Learn a correction of at most this to the expert's action; 0 learns the action itself."""
+    """Largest correction to the expert's action that is learned, from 0 to 1 (the largest action).
+    0 learns the action itself."""
     history: int = 1
-    """How many observations the policy sees, the present one included."""
+    """Number of observations that the policy sees, the present one included."""
     critic: Literal["local", "central"] = "local"
-    """What the critic sees: the follower's observation, or the world's true state too."""
+    """What the critic sees: local is the follower's observation, central the world's true state too."""
 
     start: Literal["formation", "ground"] | None = None
-    """How training episodes begin, instead of the scenario's way."""
+    """How training episodes begin, near the formation or on the ground; by default as the scenario's do."""
     start_offset: float | None = None
-    """Radius in m of the ball around the slot in which they begin, instead of the scenario's."""
+    """Radius, in m, of the ball around its slot in which a follower begins; by default the scenario's."""
     scenario_duration: float | None = None
-    """Their length in s, instead of the scenario's."""
+    """Length of a training episode, in s; by default the scenario's."""
 
     worlds: int = 256
-    """How many fly at once."""
+    """Number of worlds that are flown at once."""
     rollout: int = 32
-    """Ticks flown between two updates."""
+    """Number of control ticks that every world is flown between two updates."""
     batch: int = 2048
-    """Agent steps in a step of the optimiser."""
+    """Number of agent steps in one step of the optimiser."""
     epochs: int = 5
-    """Passes over a rollout."""
+    """Number of passes over the rollout in one update."""
     learning_rate: float = 1e-3
-    """At the start; it falls in a straight line to a tenth at the last step."""
+    """Step size of Adam at the start; it falls in a straight line to a tenth of it at the last step."""
     actor_rate: float = 1.0
-    """Part of the learning rate that the actor takes: a critic that begins from nothing must learn fast
-    to tell an actor from a file, which is good already, what is better."""
+    """Factor, from 0 to 1, on the learning rate of the actor.
+    A critic that begins from nothing has to learn faster than an actor that comes from a file."""
     kl: float | None = None
-    """Steer the actor's part of the learning rate, from actor_rate on, so that an update changes what it
-    does by about so much (mean Kullback-Leibler divergence); it falls as the learning rate does. An actor
-    from a file needs a rate of its own, which depends on the exploration."""
+    """Mean Kullback-Leibler divergence that an update should change the actor by, at the start.
+    The actor's rate is steered to it, from --actor-rate on; it falls as the learning rate does.
+    By default the rate is not steered."""
     gamma: float = 0.98
-    """Discount per tick. Rewards are scaled by 1 - gamma, so that values are of order one."""
+    """Discount factor per control tick. Rewards are scaled by 1 - gamma, so that values are of order one."""
     gae_lambda: float = 0.95
-    """Of the generalised advantage estimate."""
+    """Factor lambda, from 0 to 1, of the generalised advantage estimate."""
     clip_range: float = 0.2
-    """Of the probability ratio."""
+    """Largest change of the probability ratio that PPO's objective rewards."""
     entropy: float = 0.0
-    """Weight of the entropy bonus."""
+    """Weight of the entropy bonus in the loss."""
     value: float = 0.5
-    """Weight of the value loss."""
+    """Weight of the value function's error in the loss."""
     gradient: float = 0.5
-    """Largest norm of a gradient."""
+    """Largest norm of a gradient; a larger one is scaled down."""
     std: float | None = None
-    """Of the exploration at the start; by default fit for the action level."""
+    """Standard deviation of the actions at the start, in units of the largest action.
+    By default it is chosen for the action level, and a fifth of that with --init."""
     hidden: tuple[int, ...] = (64, 64)
-    """Widths of the hidden layers; those of the file with --init."""
+    """Widths of the hidden layers; with --init those of the file."""
     activation: Literal["tanh", "relu"] = "tanh"
-    """Of the hidden layers; that of the file with --init."""
+    """Activation function of the hidden layers; with --init that of the file."""
     normalise: Literal["fixed", "running"] = "fixed"
-    """Inputs by fixed scales, or by the running mean and variance."""
+    """How inputs are normalised: by fixed scales, or by their running mean and variance."""
     critic_steps: int = 0
-    """Agent steps during which the critic alone learns, worth it with --init."""
+    """Number of agent steps at the start during which only the critic learns; of use with --init."""
 
     evaluate_every: int = 1_000_000
-    """Agent steps between two evaluations."""
+    """Number of agent steps between two evaluations."""
     episodes: int = 32
-    """In an evaluation."""
+    """Number of episodes in an evaluation."""
     save_every: float = 1.0
-    """Minutes between two checkpoints, which also follow every evaluation."""
-    threads: int = field(default_factory=lambda: os.cpu_count() or 1)
-    """At most so many."""
+    """Time between two checkpoints, in minutes; every evaluation is followed by one too."""
+    threads: int = 1
+    """Number of threads of PyTorch and of the simulation.
+    A second one gains about a sixth on a machine that does nothing else, and nothing on a busy one.
+    Results with another number of threads differ by rounding."""
     profile: bool = False
-    """Say at the end where the time went."""
+    """Print at the end which part of the time went where."""
     quiet: bool = False
-    """No progress bar, no lines but the errors."""
+    """Print errors only: no progress bar and no summary."""
 
     def __post_init__(self) -> None:
         check(self, _WHOLE, _REAL)
@@ -160,40 +164,7 @@ def to_json(options: Options) -> dict[str, Any]:
     return {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
 
 
-def continued(saved: dict[str, Any], given: Options) -> Options:
-    """The options of a run to be continued: those saved with it, with the free ones as given.
-
-    Raises `ValueError` naming an option that is given otherwise than it was saved, or saved options
-    that are not these.
-    """
-    if set(saved) != {f.name for f in fields(Options)}:
-        raise ValueError("saved by another version of this command")
-    now, usual = to_json(given), _usual()
-    for name, value in now.items():
-        old = tuple(saved[name]) if isinstance(saved[name], list) else saved[name]
-        if name not in FREE and value not in (usual[name], old):
-            raise ValueError(
-                f"{flag(name)} {value}: the run was started with {old}, and goes on with that"
-            )
-    steps = saved["steps"] if given.steps == usual["steps"] else given.steps
-    together = {**saved, **{name: getattr(given, name) for name in FREE}, "steps": steps}
-    together["hidden"] = tuple(saved["hidden"])
-    together["init"] = None if saved["init"] is None else Path(saved["init"])
-    return Options(**together)
-
-
-def _usual() -> dict[str, Any]:
-    """The defaults by name."""
-    usual: dict[str, Any] = {"output": None}
-    for f in fields(Options):
-        if f.default is not MISSING:
-            usual[f.name] = f.default
-        elif f.default_factory is not MISSING:
-            usual[f.name] = f.default_factory()
-    return usual
-
-
 def command(options: Options) -> str:
     """The command that repeats a run, without what does not change its result."""
     idle = ("output", "resume", "profile", "quiet", "threads")
-    return repeated("train.ppo", to_json(options), _usual(), idle)
+    return repeated("train.ppo", to_json(options), defaults(Options), idle)

@@ -15,22 +15,24 @@ import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from train.command_line import fail, interruptions
+from baselines import console
+from train.command_line import DIVERGED, diverged, fail, interruptions, read, wait_passively
 
 if TYPE_CHECKING:
     from train.options import Options
 
-PROGRAM = "train.ppo"
+PROGRAM, SCRIPT = "train.ppo", "formation-train-ppo"
 
 
+@console.command
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
+    wait_passively()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # theirs, at import
-            import rich  # noqa: F401
             import tensorboard  # type: ignore[import-untyped]  # noqa: F401
-            import tyro
+            import tyro  # noqa: F401
 
             from train.learner import prepare
             from train.options import Options
@@ -41,7 +43,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             PROGRAM, f'{problem.name} is not installed: pip install "formation-env[train]"', 2
         )
     try:
-        options = tyro.cli(Options, prog=f"python -m {PROGRAM}", args=arguments)
+        options = read(Options, SCRIPT, arguments)
+    except ValueError as problem:
+        return fail(PROGRAM, problem, 2)
+    try:
         run = prepare(options)
     except ValueError as problem:
         return fail(PROGRAM, problem, 2)
@@ -60,10 +65,14 @@ def _train(run: Any, options: Options) -> int:
     except OSError as problem:
         where = f"{problem.filename}: " if problem.filename else ""
         return fail(PROGRAM, f"{where}{problem.strerror or problem}; earlier files are intact", 1)
+    except ValueError as problem:
+        if not diverged(problem):
+            raise
+        return fail(PROGRAM, f"{DIVERGED}; earlier files are intact", 1)
     if not options.quiet:
-        print(run.summary())
+        console.say(run.summary())
     if options.profile:
-        print(run.profile())
+        console.say(run.profile())
     if asked():
         print(
             f"interrupted: saved; continue with --resume --output {options.output}", file=sys.stderr

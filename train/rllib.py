@@ -18,26 +18,33 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from baselines import cluster
-from train.command_line import fail, interruptions
+from baselines import cluster, console
+from train.command_line import fail, interruptions, read, wait_passively
 
 if TYPE_CHECKING:
     from train.rllib_options import Options
     from train.rllib_run import Saved
 
-PROGRAM = "train.rllib"
+PROGRAM, SCRIPT = "train.rllib", "formation-train-rllib"
 
 
+@console.command
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
+    wait_passively()
     try:
-        cluster.load_ray()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # theirs, at import
-            import tyro
+            import tyro  # noqa: F401
 
             from train.rllib_options import Options
+
+            options = read(Options, SCRIPT, arguments)  # its help needs no Ray
+            cluster.load_ray()
+
             from train.rllib_run import prepare
+    except ValueError as problem:
+        return fail(PROGRAM, problem, 2)
     except cluster.Unreachable as problem:
         return fail(PROGRAM, problem, 2)
     except ModuleNotFoundError as problem:
@@ -47,13 +54,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             PROGRAM, f'{problem.name} is not installed: pip install "formation-env[ray]"', 2
         )
     try:
-        options, saved = prepare(tyro.cli(Options, prog=f"python -m {PROGRAM}", args=arguments))
+        options, saved, own = prepare(options)
     except ValueError as problem:
         return fail(PROGRAM, problem, 2)
     except OSError as problem:
         return fail(PROGRAM, f"cannot write into {problem.filename}: {problem.strerror}", 2)
     try:
-        with cluster.joined(options.address, max(1, options.runners)) as ray, _quietly():
+        with own, cluster.joined(options.address, max(1, options.runners)) as ray, _quietly():
             return _train(ray, options, saved)
     except cluster.Unreachable as problem:
         return fail(PROGRAM, problem, 2)
@@ -90,7 +97,7 @@ def _train(ray: Any, options: Options, saved: Saved | None) -> int:
     finally:
         run.close()
     if not options.quiet:
-        print(run.summary())
+        console.say(run.summary())
     if asked():
         print(
             f"interrupted: saved; continue with --resume --output {options.output}", file=sys.stderr

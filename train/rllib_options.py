@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import MISSING, asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from formation_env import FormationConfig, configure
-from train.command_line import check, flag, repeated
+from train.command_line import check, repeated
 from train.options import STD
+from train.saved import defaults
 
 
 @dataclass(frozen=True)
@@ -16,65 +17,69 @@ class Options:
     """Train one policy, shared by all followers, with PPO on a Ray cluster."""
 
     output: Path
-    """Folder for the policies, the log and the checkpoint."""
+    """Folder for the policies, the log and the checkpoint; made if it is not there."""
     scenario: str = "nominal"
-    """Which task, as in the leaderboard."""
+    """Name of the scenario that is trained on: nominal, paper, experiment, agile or swarm."""
     action: Literal["wrench", "rates", "reference"] | None = None
-    """Action level instead of the scenario's own."""
+    """Action level: wrench, rates or reference; by default the scenario's own."""
     steps: int = 20_000_000
-    """Stop after so many agent steps: ticks times followers times worlds."""
+    """Stop after this many agent steps; one is one control tick of one follower."""
     minutes: float | None = None
-    """Stop after so many minutes, evaluations included, if that is earlier."""
+    """Stop after this many minutes of wall time, if that is earlier; by default no limit of time."""
     seed: int = 0
-    """Of everything that is drawn."""
+    """Seed of everything that is drawn: initial weights, episodes, exploration."""
     resume: bool = False
-    """Continue the run in the output folder with the options that it was started with; of those given
-    here only steps, minutes, runners, address and quiet count."""
+    """Continue the run in the output folder with the options that it was started with.
+    Of those given here only steps, minutes, runners, address, threads and quiet count."""
     critic: Literal["local", "central"] = "local"
-    """What the critic sees: the follower's observation, or the world's true state too."""
+    """What the critic sees: local is the follower's observation, central the world's true state too."""
 
     runners: int = 0
-    """Processes that fly, one core each, anywhere in the cluster; 0 flies in this one."""
+    """Number of processes that fly, one core each, anywhere in the cluster; 0 flies in this process."""
     address: str | None = None
-    """HOST:PORT of a Ray cluster that runs already, instead of a local one for this run alone."""
+    """HOST:PORT of a Ray cluster that runs already; by default one is started for this run alone."""
 
     worlds: int = 64
-    """How many fly at once in each process."""
+    """Number of worlds that each process flies at once."""
     rollout: int = 64
-    """Ticks flown between two updates."""
+    """Number of control ticks that every world is flown between two updates."""
     batch: int = 1024
-    """Agent steps in a step of the optimiser."""
+    """Number of agent steps in one step of the optimiser."""
     epochs: int = 5
-    """Passes over a rollout."""
+    """Number of passes over the rollout in one update."""
     learning_rate: float = 1e-3
-    """At the start; it falls in a straight line to a tenth at the last step."""
+    """Step size of Adam at the start; it falls in a straight line to a tenth of it at the last step."""
     gamma: float = 0.98
-    """Discount per tick. Rewards are scaled by 1 - gamma, so that values are of order one."""
+    """Discount factor per control tick. Rewards are scaled by 1 - gamma, so that values are of order one."""
     gae_lambda: float = 0.95
-    """Of the generalised advantage estimate."""
+    """Factor lambda, from 0 to 1, of the generalised advantage estimate."""
     clip_range: float = 0.2
-    """Of the probability ratio."""
+    """Largest change of the probability ratio that PPO's objective rewards."""
     entropy: float = 0.0
-    """Weight of the entropy bonus."""
+    """Weight of the entropy bonus in the loss."""
     value: float = 0.5
-    """Weight of the value loss."""
+    """Weight of the value function's error in the loss."""
     gradient: float = 0.5
-    """Largest norm of a gradient."""
+    """Largest norm of a gradient; a larger one is scaled down."""
     std: float | None = None
-    """Of the exploration at the start; by default fit for the action level."""
+    """Standard deviation of the actions at the start, in units of the largest action.
+    By default it is chosen for the action level."""
     hidden: tuple[int, ...] = (64, 64)
     """Widths of the hidden layers."""
     activation: Literal["tanh", "relu"] = "tanh"
-    """Of the hidden layers."""
+    """Activation function of the hidden layers."""
 
     evaluate_every: int = 1_000_000
-    """Agent steps between two evaluations."""
+    """Number of agent steps between two evaluations."""
     episodes: int = 32
-    """In an evaluation."""
+    """Number of episodes in an evaluation."""
     save_every: float = 1.0
-    """Minutes between two checkpoints, which also follow every evaluation."""
+    """Time between two checkpoints, in minutes; every evaluation is followed by one too."""
+    threads: int = 1
+    """Number of threads of PyTorch in the learner; every runner has one.
+    More are of use for large networks on a machine that does nothing else."""
     quiet: bool = False
-    """No progress bar, no lines but the errors."""
+    """Print errors only: no progress bar and no summary."""
 
     def __post_init__(self) -> None:
         check(self, _WHOLE, _REAL)
@@ -101,6 +106,7 @@ _WHOLE = {
     "epochs": (1, 1000),
     "evaluate_every": (1, 2**50),
     "episodes": (1, 100_000),
+    "threads": (1, 1024),
 }
 _REAL = {
     "minutes": (1e-9, 1e9),
@@ -115,14 +121,9 @@ _REAL = {
     "save_every": (0.0, 1e9),
 }
 # What a resumed run may change.
-FREE = ("steps", "minutes", "resume", "runners", "address", "quiet", "output")
+FREE = ("steps", "minutes", "resume", "runners", "address", "threads", "quiet", "output")
 # What changes no result, or only where it lies.
-_ASIDE = ("output", "resume", "address", "quiet")
-
-
-def _usual() -> dict[str, Any]:
-    """The defaults by name."""
-    return {f.name: None if f.default is MISSING else f.default for f in fields(Options)}
+_ASIDE = ("output", "resume", "address", "threads", "quiet")
 
 
 def to_json(options: Options) -> dict[str, Any]:
@@ -130,27 +131,6 @@ def to_json(options: Options) -> dict[str, Any]:
     return {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
 
 
-def continued(saved: dict[str, Any], given: Options) -> Options:
-    """The options of a run to be continued: those saved with it, with the free ones as given.
-
-    Raises `ValueError` naming an option that is given otherwise than it was saved, or saved options
-    that are not these.
-    """
-    usual = _usual()
-    if set(saved) != set(usual):
-        raise ValueError("saved by another command, or by another version of this one")
-    saved = {**saved, "hidden": tuple(saved["hidden"])}
-    for name, value in asdict(given).items():
-        if name not in FREE and value not in (usual[name], saved[name]):
-            raise ValueError(
-                f"{flag(name)} {value}: the run was started with {saved[name]}, and "
-                "goes on with that"
-            )
-    kept = {name: value for name, value in saved.items() if name not in FREE}
-    steps = saved["steps"] if given.steps == usual["steps"] else given.steps
-    return replace(given, steps=steps, **kept)
-
-
 def command(options: Options) -> str:
     """The command that repeats a run."""
-    return repeated("train.rllib", asdict(options), _usual(), _ASIDE)
+    return repeated("train.rllib", asdict(options), defaults(Options), _ASIDE)

@@ -9,20 +9,24 @@ from time import perf_counter
 from typing import Any, NamedTuple, final
 
 import numpy as np
+import torch
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core import DEFAULT_MODULE_ID
 from ray.rllib.core.rl_module.rl_module import RLModuleSpec
 from ray.tune.registry import register_env
-from tqdm import tqdm
 
 import formation_env
 from baselines import files
 from baselines.files import Card, Network
+from baselines.progress import compiling
+from baselines.writing import Claim, claim
 from train import checkpoint
-from train.evaluation import Judge, Row, line, to_csv
+from train.evaluation import Judge, line, to_csv
+from train.progress import Progress
 from train.rllib_module import FollowerModule, exported
-from train.rllib_options import Options, command, continued, to_json
+from train.rllib_options import FREE, Options, command, to_json
 from train.rllib_rows import FollowerRows
+from train.saved import Arrays, Past, continued, fact, moments, past, take_like
 from train.scales import CLIP, fixed_scales, state_scales
 
 NAME = "checkpoint.safetensors"
@@ -33,11 +37,8 @@ _ENVIRONMENT = "formation_rows"
 class Saved(NamedTuple):
     """What a checkpoint holds."""
 
-    steps: int
-    minutes: float
-    next_evaluation: int
-    rows: list[Row]
-    arrays: checkpoint.Arrays
+    past: Past
+    arrays: Arrays
 
 
 # -- the algorithm --------------------------------------------------------------------------------
@@ -132,11 +133,12 @@ class Run:
 
     def __init__(self, options: Options, saved: Saved | None) -> None:
         self.options = options
-        self._judge = Judge(options.config(), options.episodes)
-        self._before = 0 if saved is None else saved.steps
-        self.steps, self.rows = self._before, [] if saved is None else list(saved.rows)
-        self._earlier = 0.0 if saved is None else saved.minutes
-        self._next = 0 if saved is None else saved.next_evaluation
+        torch.set_num_threads(options.threads)
+        with compiling(options.quiet):
+            self._judge = Judge(options.config(), options.episodes)
+        before = Past(0, 0.0, 0, []) if saved is None else saved.past
+        self._before = self.steps = before.steps
+        self._earlier, self._next, self.rows = before.minutes, before.next_evaluation, before.rows
         self._algorithm = algorithm(options, self._before)
         if saved is not None:
             self._restore(saved)
@@ -151,19 +153,21 @@ class Run:
         """Train to the limit, or until `stop` says so between two updates."""
         o = self.options
         most = float("inf") if o.minutes is None else o.minutes
-        with tqdm(total=o.steps, initial=self.steps, disable=o.quiet, unit=" steps",
-                  unit_scale=True) as bar:  # fmt: skip
+        bar = Progress(o.steps, o.minutes, o.quiet)
+        try:
             while self.steps < o.steps and self.minutes < most and not stop():
                 self._maybe_evaluate()
                 result = self._algorithm.train()
                 lifetime = int(result["env_runners"]["num_env_steps_sampled_lifetime"])
-                bar.update(self._before + lifetime - self.steps)
                 self.steps = self._before + lifetime
+                bar.show(self.steps, self.minutes, self.rows)
                 if perf_counter() - self._saved >= 60.0 * o.save_every:
                     self._save()
             if not stop():
                 self._maybe_evaluate(last=True)
             self._save()
+        finally:
+            bar.close()
 
     def summary(self) -> str:
         """The last line of the log in words."""
@@ -258,43 +262,50 @@ class Run:
 
         Raises `ValueError` where it does not fit the network, as after a change of the observation.
         """
-        own = {name: np.shape(x) for name, x in self.weights().items()}
-        if own != {k: x.shape for k, x in checkpoint.group(saved.arrays, "module").items()}:
-            path = self.options.output / NAME
-            raise ValueError(f"{path}: the network in it is not the one of its own options")
-        group = self._algorithm.learner_group
-        state = group.get_state(components=["learner/rl_module", "learner/optimizer"])["learner"]
-        state["rl_module"][DEFAULT_MODULE_ID] = checkpoint.group(saved.arrays, "module")
-        moments = checkpoint.moments(checkpoint.group(saved.arrays, "optimiser"))
+        own = {name: np.asarray(x) for name, x in self.weights().items()}
+        try:
+            weights, adam = take_like(saved.arrays, "module", own), moments(saved.arrays)
+        except ValueError as problem:
+            raise ValueError(f"{self.options.output / NAME}: {problem}") from None
+        learners = self._algorithm.learner_group
+        state = learners.get_state(components=["learner/rl_module", "learner/optimizer"])["learner"]
+        state["rl_module"][DEFAULT_MODULE_ID] = weights
         ((_, optimiser),) = state["optimizer"].items()
-        optimiser["state"] = {**optimiser["state"], "state": moments}
-        group.set_state({"learner": {k: state[k] for k in ("rl_module", "optimizer")}})
-        self._algorithm.env_runner_group.sync_weights(from_worker_or_learner_group=group)
+        optimiser["state"] = {**optimiser["state"], "state": adam}
+        learners.set_state({"learner": {k: state[k] for k in ("rl_module", "optimizer")}})
+        self._algorithm.env_runner_group.sync_weights(from_worker_or_learner_group=learners)
 
 
 # -- making one -----------------------------------------------------------------------------------
 
 
-def prepare(options: Options) -> tuple[Options, Saved | None]:
-    """The options to run with and what to go on from, in a folder that can be written.
+def prepare(options: Options) -> tuple[Options, Saved | None, Claim]:
+    """The options to run with, what to go on from, and the folder, which is this run's until released.
 
     Raises `ValueError` for options that cannot be, `OSError` for the folder.
     """
     path = options.output / NAME
-    if not options.resume:
+    if options.resume:
+        checkpoint.require_there(path)
+    own = claim(options.output)
+    try:
+        if options.resume:
+            return *_resumed(path, options), own
         if path.exists():
             raise ValueError(f"{path} exists: go on with --resume, or choose another folder")
-        checkpoint.prepare_folder(options.output)
-        return options, None
+    except BaseException:
+        own.release()
+        raise
+    return options, None, own
+
+
+def _resumed(path: Path, given: Options) -> tuple[Options, Saved]:
     facts, arrays = checkpoint.load(path)
     try:
-        options = continued(facts.get("options", {}), options)
-        rows = [Row(*row) for row in facts["rows"]]
-        times = (facts["steps"], facts["minutes"], facts["next_evaluation"])
-    except (KeyError, TypeError, ValueError) as problem:
+        options = continued(fact(facts, "options"), given, FREE)
+        return options, Saved(past(facts), arrays)
+    except ValueError as problem:
         raise ValueError(f"{path}: {problem}") from None
-    checkpoint.prepare_folder(options.output)
-    return options, Saved(*times, rows, arrays)
 
 
 def require_cores(ray: Any, options: Options) -> None:

@@ -27,19 +27,22 @@ from typing import Any, NamedTuple, NoReturn, final
 import numpy as np
 
 import formation_env
-from baselines import make_policy
+from baselines import console, make_policy
 from baselines.intervals import Estimate
 from baselines.policy import Policy
+from baselines.progress import compiling
+from baselines.reading import read_bytes
 from baselines.rollout import fly_all
 from baselines.scoring import Result, judge
 from baselines.tuned import FEEDFORWARDS, VERSION, ExpertTuned, Gains, own, read
-from baselines.writing import write_text
+from baselines.writing import claim, write_text
 from formation_env import FormationConfig, configure
 from formation_env.checks import integer, number, require
+from train.command_line import read as read_options
 from train.gain_space import GainSpace
 from train.search import Candidate, Search, search
 
-PROGRAM = "train.tune_expert"
+PROGRAM, SCRIPT = "train.tune_expert", "formation-tune-expert"
 
 # First seeds. The leaderboard's are 0 to 99; at most `_MOST` episodes keep the three apart.
 TRAINING, VALIDATION, _MOST = 100_000, 200_000, 100_000
@@ -51,36 +54,40 @@ _EVERY = 5.0  # s between two writings of the journal
 @final
 @dataclass(frozen=True)
 class Options:
-    """Find gains for the paper's laws on the training seeds of a scenario."""
+    """Search gains for the paper's laws with CMA-ES, on seeds of its own.
+
+    Results do not depend on the number of threads.
+    """
 
     scenario: str = "nominal"
-    """Where the followers fly."""
+    """Name of the scenario that gains are searched for: nominal, paper, experiment, agile or swarm."""
     action: str | None = None
-    """Action level: wrench, rates or reference (by default the scenario's own)."""
+    """Action level: wrench, rates or reference; by default the scenario's own."""
     feedforward: str = "both"
-    """Third and fourth derivatives of the reference: zero, derived, or both tried."""
+    """How the third and fourth derivatives of the reference are taken: zero, derived, or both tried."""
     episodes: int = 64
-    """Training seeds, the same for every candidate."""
+    """Number of training episodes that every candidate flies, of the same seeds."""
     evaluations: int = 2000
-    """Candidates flown in all, shared between what is tried of feedforward."""
+    """Number of candidates in all, shared out evenly where both feedforwards are tried."""
     validation: int = 256
-    """Validation seeds."""
+    """Number of validation episodes, on which the best candidates are compared."""
     finalists: int = 8
-    """Candidates that fly them, of each feedforward."""
+    """Number of candidates of each feedforward that fly the validation episodes."""
     spread: float = 0.5
-    """Standard deviation of the first candidates around the own gains; 1 is a factor of e."""
+    """Standard deviation of the first candidates about the own gains, in the logarithm of a gain.
+    1 is a factor of e."""
     seed: int = 1
-    """Of the search."""
+    """Seed of the search."""
     output: Path = field(default_factory=lambda: Path("runs/tune"))
-    """Folder for the journal."""
+    """Folder for the journal, SCENARIO-ACTION.json; made if it is not there."""
     gains: Path | None = None
-    """A file of gains that takes up the result, such as baselines/tuned_gains.json."""
+    """File of gains that takes up the result, such as baselines/tuned_gains.json; by default none."""
     resume: bool = False
-    """Go on with the journal that is there."""
+    """Go on with the journal that is in the output folder."""
     threads: int = field(default_factory=lambda: os.cpu_count() or 1)
-    """Candidates flown at a time."""
+    """Number of candidates that are flown at a time, a thread each; by default one for each core."""
     quiet: bool = False
-    """No progress bar."""
+    """Print no progress bar."""
 
     def check(self) -> FormationConfig:
         """The configuration searched. Raises `ValueError` naming the option that is wrong."""
@@ -145,14 +152,14 @@ class Journal:
     def known(self) -> dict[str, list[float]]:
         """The values in the file. Raises `ValueError` if it is of another search."""
         try:
-            before = json.loads(self._path.read_text(encoding="utf-8"))
+            before = json.loads(read_bytes(self._path).decode("utf-8"))
             options, package, values = before["options"], before["package"], before["values"]
             known = {k: [float(x) for x in v] for k, v in values.items()}
         except OSError as problem:
             raise ValueError(
                 f"--resume: {self._path}: {problem.strerror}; expected a journal"
             ) from None
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             raise ValueError(f"--resume: {self._path} is not a journal of {PROGRAM}") from None
         now = json.loads(json.dumps({**self._head["options"], "package": self._head["package"]}))
         for name, value in {**options, "package": package}.items():
@@ -260,13 +267,20 @@ def tune(options: Options) -> Verdict:
     """The whole search. Raises `ValueError` for wrong options, before anything is written."""
     config, command = options.check(), command_of(options)
     path = options.output / f"{config.scenario}-{config.action}.json"
-    journal = Journal(path, options, config, command)
+    if options.gains is not None and options.gains.exists():
+        read(options.gains)
+    if options.resume:
+        Journal(path, options, config, command).known()  # refused before a folder is made
+    with claim(options.output):
+        return _searched(options, config, Journal(path, options, config, command), path)
+
+
+def _searched(options: Options, config: FormationConfig, journal: Journal, path: Path) -> Verdict:
+    """The search in a folder of its own, its journal and its entry in a file of gains."""
+    command = command_of(options)
     known = journal.known() if options.resume else {}
     if path.exists() and not options.resume:
         raise ValueError(f"{path} exists: expected --resume to go on with it, or another --output")
-    if options.gains is not None and options.gains.exists():
-        read(options.gains)
-    options.output.mkdir(parents=True, exist_ok=True)
     verdict = _run(options, config, journal, known)
     entry = {**verdict.gains.document(), "made": made(options, command, verdict)}
     journal.write(entry)
@@ -284,7 +298,9 @@ def _run(
     seeds = range(TRAINING, TRAINING + options.episodes)
     share = max(1, options.evaluations // len(choices))
     # Before many threads do so at once: the first flight compiles, and the own gains must fly.
-    fly_all(make_policy("expert", config), range(TRAINING, TRAINING + 1))
+    with compiling(options.quiet):
+        hover = _return(make_policy("hover", config), seeds)
+        own_return = _return(make_policy("expert", config), seeds)
     with (
         ThreadPoolExecutor(options.threads, thread_name_prefix="tune") as pool,
         tqdm(total=share * len(choices), disable=options.quiet, unit=" candidates") as bar,
@@ -298,7 +314,9 @@ def _run(
         def told(feedforward: str, generation: Sequence[Candidate]) -> None:
             journal.add(feedforward, generation)
             bar.update(len(generation))
-            bar.set_postfix({feedforward: f"{journal.best(feedforward, 1)[0].value:.4f}"})
+            best = journal.best(feedforward, 1)[0].value
+            score = (best - hover) / (own_return - hover) if own_return != hover else float("nan")
+            bar.set_description_str(f"{feedforward}: score {score:.3f}", refresh=False)
 
         try:
             for choice in choices:
@@ -332,15 +350,15 @@ def _refuse(message: object) -> NoReturn:
     raise SystemExit(2)
 
 
+@console.command
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
     try:
         import cma  # noqa: F401  # its absence is better known now than after compiling
-        import tyro
+        import tyro  # noqa: F401
     except ImportError as problem:
         _refuse(f'{problem.name} is missing: pip install "formation-env[train]"')
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    options = tyro.cli(Options, args=words, prog=PROGRAM, description=__doc__)
+    options = read_options(Options, SCRIPT, arguments)
     try:
         verdict = tune(options)
     except ValueError as problem:
@@ -352,9 +370,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("interrupted: --resume goes on where the journal ends", file=sys.stderr)
         return 130
     score, gain = verdict.result.score, verdict.result.differences["return"]
-    print(f"score {score.value:.3f} ({score.low:.3f} .. {score.high:.3f}) on validation seeds, ")
-    print(f"return {gain.value:+.4f} ({gain.low:+.4f} .. {gain.high:+.4f}) beside the expert's")
-    print(json.dumps(verdict.gains.document(), indent=1))
+    console.say(
+        f"score {score.value:.3f} ({score.low:.3f} .. {score.high:.3f}) on validation seeds, "
+    )
+    console.say(
+        f"return {gain.value:+.4f} ({gain.low:+.4f} .. {gain.high:+.4f}) beside the expert's"
+    )
+    console.say(json.dumps(verdict.gains.document(), indent=1))
     return 0
 
 

@@ -1,0 +1,118 @@
+"""Commands whose output nobody reads to the end, or that a full device does not take."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from numba.core import event
+
+from baselines import progress, scoring
+from formation_env import configure
+from formation_env._jit import kernel
+
+QUICK = ["--scenarios", "nominal", "--policies", "hover", "--episodes", "1", "--duration", "0.1"]
+unix = pytest.mark.skipif(sys.platform == "win32", reason="pipes and devices of Unix")
+
+
+def closed_pipe(*words: str) -> tuple[int, str]:
+    """Status and standard error of a command whose reader has gone before it prints."""
+    with subprocess.Popen(
+        [sys.executable, "-m", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as run:
+        assert run.stdout is not None and run.stderr is not None
+        run.stdout.close()
+        said = run.stderr.read()
+        return run.wait(300), said
+
+
+@unix
+def test_an_evaluation_is_not_lost_in_a_closed_pipe(tmp_path: Path) -> None:
+    status, said = closed_pipe("baselines.evaluate", *QUICK, "--output", str(tmp_path))
+    assert status == 0
+    assert "Traceback" not in said and "Broken" not in said
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["results.json", "results.md"]
+
+
+@unix
+def test_help_in_a_closed_pipe_is_quiet() -> None:
+    assert closed_pipe("baselines.evaluate", "--help") == (0, "")
+
+
+@unix
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")
+def test_an_evaluation_is_not_lost_on_a_full_device(tmp_path: Path) -> None:
+    with open("/dev/full", "w") as full:
+        run = subprocess.run(
+            [sys.executable, "-m", "baselines.evaluate", *QUICK, "--output", str(tmp_path)],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=300,
+        )
+    assert run.returncode == 1
+    assert run.stderr.splitlines()[-1] == "error: cannot print: No space left on device"
+    assert "Traceback" not in run.stderr
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["results.json", "results.md"]
+
+
+@unix
+def test_a_bar_that_nobody_reads_does_not_end_the_run(tmp_path: Path) -> None:
+    """`2>&1 | head`: the bar goes into the closed pipe as well."""
+    words = [sys.executable, "-m", "baselines.evaluate", *QUICK, "--output", str(tmp_path)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as run:
+        assert run.stdout is not None
+        run.stdout.close()
+        assert run.wait(300) == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["results.json", "results.md"]
+
+
+# -- compiling first ------------------------------------------------------------------------------
+
+
+@kernel
+def a_kernel(x: float) -> float:
+    return x
+
+
+def compile_something() -> None:
+    data = {"dispatcher": a_kernel}
+    for _ in range(3):
+        event.start_event("numba:compile", data)
+        event.end_event("numba:compile", data)
+
+
+@pytest.mark.skipif(not hasattr(a_kernel, "targetoptions"), reason="nothing is compiled")
+def test_compiling_has_a_line_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress.compiling():
+        pass
+    assert capsys.readouterr().err == ""
+    with progress.compiling():
+        compile_something()
+        assert capsys.readouterr().err == progress.TEXT
+    assert capsys.readouterr().err == " done in 0 s\n"
+    compile_something()
+    with progress.compiling(quiet=True):
+        compile_something()
+    assert capsys.readouterr().err == ""
+
+
+def test_the_bar_begins_when_everything_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every kernel has been used when the bar is made: its rate counts flying only."""
+    happened: list[str] = []
+    fly, Bar = scoring.fly, scoring.Bar
+
+    def flown(*args: object, **options: object) -> object:
+        happened.append("warm" if "most" in options else "fly")
+        return fly(*args, **options)  # type: ignore[arg-type]
+
+    def bar(*args: object) -> object:
+        happened.append("bar")
+        return Bar(*args)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(scoring, "fly", flown)
+    monkeypatch.setattr(scoring, "Bar", bar)
+    scoring.evaluate({"nominal": configure("nominal", duration=0.1)}, ["pd"], episodes=1)
+    assert happened == ["warm"] * 3 + ["bar"] + ["fly"] * 3

@@ -1,0 +1,49 @@
+"""The bar of a training run: towards the limit in force, with the score, no time of compiling in it."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("scipy")
+
+from train.evaluation import Row
+from train.progress import Progress, described, part_done
+
+ROWS = [Row(0, 0.0, 0.25, 0.2, 0.3, 1.0, 1.0, 0.0, 0), Row(5, 1.0, 0.9, 0.8, 1.0, 2.0, 0.5, 0.0, 0)]
+
+
+@pytest.mark.parametrize(
+    ("steps", "minutes", "most_minutes", "part", "text"),
+    [
+        (250, 1.0, None, 0.25, "250 of 1.00k steps"),
+        (250, 1.0, 10.0, 0.25, "250 of 1.00k steps"),
+        (250, 5.0, 10.0, 0.5, "5.0 of 10 min, 250 steps"),
+        (2000, 5.0, 10.0, 1.0, "2.00k of 1.00k steps"),
+        (0, 30.0, 10.0, 1.0, "30.0 of 10 min, 0.00 steps"),
+    ],
+)
+def test_the_nearer_limit_counts(
+    steps: int, minutes: float, most_minutes: float | None, part: float, text: str
+) -> None:
+    assert part_done(steps, minutes, 1000, most_minutes) == part
+    assert described(steps, minutes, 1000, most_minutes, ()) == text
+    assert described(steps, minutes, 1000, most_minutes, ROWS) == f"{text}, score 0.900"
+
+
+def test_it_fits_a_terminal_and_goes_on(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A resumed run begins where it was; nothing is shown before the first call, or if quiet."""
+    monkeypatch.setenv("COLUMNS", "80")
+    bar = Progress(20_000_000, 10.0, quiet=False)
+    assert capsys.readouterr().err == ""
+    bar.show(10_000_000, 2.0, ROWS)
+    bar.show(20_000_000, 3.0, ROWS)
+    bar.close()
+    shown = [line for line in capsys.readouterr().err.replace("\n", "\r").split("\r") if line]
+    assert shown[0].startswith(" 50 %") and shown[-1].startswith("100 %")
+    assert "20.0M of 20.0M steps, score 0.900" in shown[-1]
+    quiet = Progress(10, None, quiet=True)
+    quiet.show(5, 1.0, ROWS)
+    quiet.close()
+    assert capsys.readouterr().err == ""

@@ -1,0 +1,212 @@
+"""What a checkpoint says, checked before any of it is used: facts, options, arrays.
+
+A file that was damaged or made up is told by one line that names the field. What indexes something is
+checked for its range, what is calculated with for being finite. All raise `ValueError`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import MISSING, Field, fields
+from math import isnan
+from types import NoneType, UnionType
+from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formation_env.checks import boolean, choice, integer, number, refuse, require, shown
+from train.command_line import flag
+from train.evaluation import Row
+
+Arrays = dict[str, NDArray[Any]]
+Options = TypeVar("Options")
+
+_MOST = 2**62  # a count
+# Of a number that training multiplies or squares: far beyond any that it makes, far below float32's end.
+_LARGEST = 1e15
+
+
+# -- facts ----------------------------------------------------------------------------------------
+
+
+class Past(NamedTuple):
+    """What every run remembers of its earlier sittings."""
+
+    steps: int  # agent steps
+    minutes: float  # of wall time
+    next_evaluation: int  # agent steps
+    rows: list[Row]
+
+
+def past(facts: Mapping[str, Any]) -> Past:
+    """Steps, time and log of a run."""
+    rows = fact(facts, "rows")
+    require(isinstance(rows, list), "rows", rows, "a list of evaluations")
+    return Past(
+        integer("steps", fact(facts, "steps"), 0, _MOST),
+        number("minutes", fact(facts, "minutes"), 0.0, 1e9, strict=False),
+        integer("next_evaluation", fact(facts, "next_evaluation"), 0, _MOST),
+        [_row(f"rows[{i}]", row) for i, row in enumerate(rows)],
+    )
+
+
+def fact(facts: Mapping[str, Any], name: str) -> Any:
+    """A fact by name."""
+    if name not in facts:
+        raise ValueError(f"{name} is missing")
+    return facts[name]
+
+
+def _row(name: str, values: Any) -> Row:
+    """A line of the log. Figures may be NaN: a score is, where hover does as well as the expert."""
+    whole = isinstance(values, list) and len(values) == len(Row._fields)
+    require(whole, name, values, f"{len(Row._fields)} numbers")
+    steps, *figures, seed = values
+    known = [
+        x if isinstance(x, float) and isnan(x) else number(f"{name}.{field}", x)
+        for field, x in zip(Row._fields[1:-1], figures, strict=True)
+    ]
+    counts = [
+        integer(f"{name}.{field}", x, 0, _MOST) for field, x in (("steps", steps), ("seed", seed))
+    ]
+    return Row._make([counts[0], *known, counts[1]])
+
+
+# -- options --------------------------------------------------------------------------------------
+
+
+def continued(saved: object, given: Options, free: Collection[str]) -> Options:
+    """The options of a run to be continued: those saved with it, with the `free` ones as given.
+
+    Raises `ValueError` naming an option that is given otherwise than it was saved, or saved options
+    that are not these.
+    """
+    kinds: Any = type(given)
+    require(isinstance(saved, dict), "options", saved, "an object")
+    assert isinstance(saved, dict)
+    if set(saved) != {f.name for f in fields(kinds)}:
+        raise ValueError("options: saved by another command, or by another version of this one")
+    hints = get_type_hints(kinds)
+    values = {name: _typed(f"options.{name}", hints[name], x) for name, x in saved.items()}
+    usual = defaults(kinds)
+    for name, old in values.items():
+        now = getattr(given, name)
+        if name not in free and now not in (usual[name], old):
+            raise ValueError(
+                f"{flag(name)} {now}: the run was started with {old}, and goes on with that"
+            )
+    chosen = {name: getattr(given, name) for name in free}
+    if chosen["steps"] == usual["steps"]:
+        chosen["steps"] = values["steps"]
+    together: Options = kinds(**{**values, **chosen})
+    return together
+
+
+def defaults(kinds: type[Any]) -> dict[str, Any]:
+    """The defaults of an options' class by name; None where there is none."""
+    return {f.name: _default(f) for f in fields(kinds)}
+
+
+def _default(field: Field[Any]) -> Any:
+    if field.default_factory is not MISSING:
+        return field.default_factory()
+    return None if field.default is MISSING else field.default
+
+
+def _typed(name: str, kind: Any, value: Any) -> Any:
+    """A value from JSON as the kind that a field is annotated with."""
+    origin, parts = get_origin(kind), get_args(kind)
+    if origin in (Union, UnionType):
+        if value is None and NoneType in parts:
+            return None
+        return _typed(name, next(part for part in parts if part is not NoneType), value)
+    if origin is Literal:
+        return choice(name, value, parts)
+    if origin is tuple:
+        require(isinstance(value, list), name, value, "a list")
+        return tuple(_typed(f"{name}[{i}]", parts[0], x) for i, x in enumerate(value))
+    if kind is bool:
+        return boolean(name, value)
+    if kind is int:
+        return integer(name, value, -_MOST, _MOST)
+    if kind is float:
+        return number(name, value)
+    require(isinstance(value, str), name, value, "a text")
+    return kind(value)
+
+
+# -- arrays ---------------------------------------------------------------------------------------
+
+
+def group(arrays: Arrays, name: str) -> Arrays:
+    """Those whose names begin with `name/`, without it."""
+    start = f"{name}/"
+    return {key[len(start) :]: x for key, x in arrays.items() if key.startswith(start)}
+
+
+def take(arrays: Arrays, name: str, shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
+    """An array by name, of this shape and kind, its numbers finite and not absurd."""
+    found = arrays.get(name)
+    if found is None:
+        raise ValueError(f"{name} is missing")
+    if found.shape != shape or found.dtype != np.dtype(dtype):
+        raise ValueError(
+            f"{name} is {found.dtype} {found.shape}: expected {np.dtype(dtype)} {shape}"
+        )
+    require_finite(name, found)
+    return found
+
+
+def take_like(arrays: Arrays, part: str, own: Mapping[str, NDArray[Any]]) -> Arrays:
+    """The arrays of a group, which has to have the names, shapes and kinds of `own`."""
+    for name in group(arrays, part):
+        require(name in own, "name of an array", f"{part}/{name}", "a name of this run's")
+    return {name: take(arrays, f"{part}/{name}", x.shape, x.dtype) for name, x in own.items()}
+
+
+def require_finite(name: str, numbers: NDArray[Any]) -> None:
+    """Refuse NaN, infinity and what is beyond all measure."""
+    if numbers.dtype.kind != "f":
+        return
+    bad = ~(np.abs(numbers) <= _LARGEST)
+    if bad.any():
+        where = tuple(int(i) for i in np.argwhere(bad)[0])
+        at = "".join(f"[{i}]" for i in where)
+        refuse(f"{name}{at}", float(numbers[where]), f"a finite number of at most {_LARGEST:g}")
+
+
+def moments(arrays: Arrays, shapes: Sequence[tuple[int, ...]] | None = None) -> dict[int, Arrays]:
+    """Adam's moments from the group `optimiser`, by the parameter's number.
+
+    A parameter has none or all three; with the parameters' `shapes`, they are as large.
+    """
+    found: dict[int, Arrays] = {}
+    for key, x in group(arrays, "optimiser").items():
+        index, _, name = key.partition(".")
+        whole = index.isascii() and index.isdigit() and len(index) < 6
+        known = whole and name in ("step", "exp_avg", "exp_avg_sq")
+        require(known, "name of an array", f"optimiser/{key}", "a moment of Adam's")
+        found.setdefault(int(index), {})[name] = x
+    for parameter, each in found.items():
+        if shapes is not None:
+            integer("parameter of a moment", parameter, 0, len(shapes) - 1)
+        shape = None if shapes is None else shapes[parameter]
+        _require_moments(f"optimiser/{parameter}", each, shape)
+    return found
+
+
+def _require_moments(name: str, each: Arrays, shape: tuple[int, ...] | None) -> None:
+    """Steps that were taken, squares that are none below zero."""
+    named = {f"{name}.{key}": x for key, x in each.items()}
+    if shape is None:
+        shape = each["exp_avg"].shape if "exp_avg" in each else ()
+    for key in ("exp_avg", "exp_avg_sq"):
+        take(named, f"{name}.{key}", shape, np.float32)
+    steps = each.get("step")
+    fits = steps is not None and steps.size == 1 and steps.dtype == np.float32
+    require(fits, f"{name}.step", None if steps is None else shown(steps), "one number, float32")
+    assert steps is not None
+    number(f"{name}.step", float(steps.ravel()[0]), 1.0, _LARGEST, strict=False)
+    least = float(each["exp_avg_sq"].min(initial=0.0))
+    number(f"least of {name}.exp_avg_sq", least, 0.0, strict=False)
