@@ -10,8 +10,17 @@ from baselines.warning import warn_user
 from formation_env import SCENARIOS, FormationConfig, configure
 from formation_env.checks import shown
 
-# What an episode is worth and when it ends changes nothing about how it flies.
-_UNFELT = ("scenario", "duration", "reward", "limits")
+# How an episode begins, how long it lasts and what it is worth: training may choose those freely.
+_FREE = (
+    "scenario",
+    "duration",
+    "reward",
+    "limits",
+    "start",
+    "start_offset",
+    "leader_start",
+    "follower_starts",
+)
 
 
 class TransferWarning(UserWarning):
@@ -30,11 +39,10 @@ def differences(card: Card, config: FormationConfig) -> list[str]:
     if card.scenario not in SCENARIOS:  # one of the user's own, which the card does not describe
         return []
     own = _trained_on(card.scenario, card.action)
-    names = [f.name for f in fields(config) if f.name not in _UNFELT]
+    names = [f.name for f in fields(config) if f.name not in _FREE]
     changed = [name for name in names if getattr(own, name) != getattr(config, name)]
     if own.followers != config.followers:
-        apart = ("offsets", "leader_start", "follower_starts")  # they follow from the number
-        changed = [_crew(config.followers), *(name for name in changed if name not in apart)]
+        changed = [_crew(config.followers), *(name for name in changed if name != "offsets")]
     return changed
 
 

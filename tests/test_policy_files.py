@@ -553,7 +553,7 @@ def test_a_policy_that_does_not_fit(tmp_path: Path) -> None:
         ("agile", {}, "flies another task: scenario 'agile' with 2 followers"),
         ("swarm", {}, "scenario 'swarm' with 16 followers"),
         ("nominal", {"trajectory": hover((0.0, 0.0, -2.0))}, "another task: trajectory"),
-        ("nominal", {"noise": PAPER_NOISE, "start": "ground"}, "another task: start, noise"),
+        ("nominal", {"noise": PAPER_NOISE, "gust": 0.1}, "another task: noise, gust"),
         ("nominal", {"offsets": ((0.4, 0.4, 0.0), (0.4, -0.4, 0.0))}, "another task: offsets"),
         ("nominal", {"vehicle": Vehicle(mass=0.2)}, "another task: vehicle"),
     ],
@@ -575,10 +575,11 @@ def test_a_policy_on_a_task_it_was_not_trained_for(
 
 
 def test_what_a_policy_does_not_feel_is_no_other_task() -> None:
-    """Lengths, rewards and limits of episodes; and a scenario of one's own is what its card says."""
+    """Starts, lengths, rewards and limits of episodes; and a scenario of one's own is what its card says."""
     rewards = NOMINAL.reward._replace(failure=1.0)
     limits = NOMINAL.limits._replace(lost=5.0)
     make_policy("dagger", configure("nominal", duration=3.0, reward=rewards, limits=limits))
+    make_policy("dagger", configure("nominal", start="ground", start_offset=0.1))
     mine = replace(configure("agile"), scenario="mine")
     Learned(mine, (card(mine, scenario="mine"), network(card(mine))))
     with pytest.warns(TransferWarning, match=r"trained on scenario 'mine' .* scenario 'agile'"):
