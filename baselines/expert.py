@@ -32,6 +32,7 @@ from baselines.policy import Policy, Rows
 from formation_env import FormationConfig
 from formation_env._jit import device, kernel
 from formation_env.blocks import LANES, carve
+from formation_env.checks import boolean, choice, refuse
 from formation_env.lanes import load_reference
 from formation_env.memory import Settings, flatten, tiles, unpack
 from formation_env.planner import PlannerLaw, Virtual, errors, plane
@@ -115,6 +116,10 @@ class Expert(Policy):
     `feedforward` says where the reference's third and fourth derivatives come from: `"zero"`, as in
     the paper's experiment, or `"derived"`, from the law itself with the leader's jerk and snap taken
     as zero because nobody measures them.
+
+    Whatever finite numbers it observes, its actions are finite. A virtual follower that they drive further
+    than can be computed (a leader at 90 m/s does within half a second) begins again with null errors, and
+    an action that cannot be computed, as with `d_x = 0`, is zero. Raises `ValueError` naming the argument.
     """
 
     name = "expert"
@@ -123,12 +128,10 @@ class Expert(Policy):
         self, config: FormationConfig, feedforward: str = "zero", keep_record: bool = False
     ) -> None:
         super().__init__(config)
-        if feedforward not in ("zero", "derived"):
-            raise ValueError(f"feedforward = {feedforward!r}: expected 'zero' or 'derived'")
-        self._derived = feedforward == "derived"
+        self._derived = choice("feedforward", feedforward, ("zero", "derived")) == "derived"
         self._settings = np.array(flatten(Settings(config.world, config.reward, config.limits)))
         self._gains = np.array(config.planner.law())
-        self._keep_record = keep_record
+        self._keep_record = boolean("keep_record", keep_record)
         self._memory = np.zeros((0, VIRTUAL * LANES))
         self._room = np.zeros(ROOM)
         self._record = np.zeros((0, _RECORD))
@@ -152,8 +155,7 @@ class Expert(Policy):
         if self._keep_record:
             memory = self._memory.copy()
             _note(flat, memory, *laws, self._fresh, self._room, self._record)
-        decide(flat, self._memory, *laws, self._fresh, self._room, actions)
-        self._fresh = False
+        self._fresh = decide(flat, self._memory, *laws, self._fresh, self._room, actions)
         return actions.reshape(worlds, n, -1)
 
     def get_state(self) -> dict[str, NDArray[Any]]:
@@ -162,11 +164,15 @@ class Expert(Policy):
 
     def set_state(self, state: dict[str, NDArray[Any]]) -> None:
         """Continue from what `get_state` returned for as many worlds; `ValueError` otherwise."""
-        memory = state.get("memory")
-        if memory is None or memory.shape != self._memory.shape:
-            found = "missing" if memory is None else memory.shape
-            raise ValueError(f"state['memory'] is {found}: expected {self._memory.shape}")
-        self._memory, self._fresh = memory.copy(), True
+        memory, own = state.get("memory"), self._memory
+        fits = isinstance(memory, np.ndarray) and (memory.shape, memory.dtype) == (
+            own.shape,
+            own.dtype,
+        )
+        if not isinstance(memory, np.ndarray) or not fits or np.isinf(memory).any():
+            refuse("state['memory']", memory, f"float64 numbers of shape {own.shape}")
+        self._memory, self._fresh = memory.copy(order="C"), True
+        self.look_away()
 
     @property
     def record(self) -> dict[str, Floats]:

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from baselines.policy import Rows
 from formation_env._jit import device, kernel, loop
 from formation_env.blocks import LANES, carve, gather, reinterpret
-from formation_env.elementary import phase
+from formation_env.elementary import phase, pick
 from formation_env.feedforward import full_reference
 from formation_env.lanes import at, load_reference, load_vector, put_vector
 from formation_env.memory import unpack
 from formation_env.planner import Leader, PlannerLaw, Virtual, advance, place, reference, scaled
 from formation_env.quadrotor import MOMENT, RATES
 from formation_env.slots import in_frame, out_of_frame
-from formation_env.so3 import Vector, add, cross, pick, pick_vector, scale, sub
+from formation_env.so3 import Vector, add, cross, pick_vector, scale, sub
 from formation_env.task import CORE, GUIDE
 from formation_env.tracker import Motion
 from formation_env.world import REFERENCE, Reach, World, track
@@ -33,6 +33,9 @@ _LANES = np.uint64(LANES)
 
 # Rows of a tile: of virtual followers, of their trajectories, of actions, of what is read of rows.
 VIRTUAL, _TRAJECTORY, _ACTION, _READ = 9, 15, 4, CORE + GUIDE
+# Where a virtual follower counts as lost: m, rad, m/s, rad/s, m s. Flights stay far below, and the powers
+# of it that the laws take stay far from where float64 ends.
+FAR = 1e6
 # Numbers of room for one tile of each but the first, the rows and a square of them in float32.
 ROOM = (_TRAJECTORY + _ACTION + 1) * LANES + _READ * LANES // 2
 
@@ -101,6 +104,15 @@ def _remember(x: Any, lane: Any, on: bool, f: Virtual) -> None:
     x[at(8, lane)] = pick(on, f.w, before.w)
 
 
+@device
+def _in_reach(f: Virtual) -> bool:
+    """Whether a virtual follower can be computed with; false for what is not a number, too."""
+    planar = (abs(f.p.real) <= FAR) & (abs(f.p.imag) <= FAR) & (abs(f.theta) <= FAR)
+    moving = (abs(f.u) <= FAR) & (abs(f.omega) <= FAR)
+    summed = (abs(f.xi.real) <= FAR) & (abs(f.xi.imag) <= FAR)
+    return planar & moving & summed & (abs(f.z) <= FAR) & (abs(f.w) <= FAR)
+
+
 # -- loops over the lanes of a tile ---------------------------------------------------------------
 
 
@@ -138,13 +150,15 @@ def _plan(
     put_vector(refs, 9, lane, pick_vector(s.started, r.j, o))
     put_vector(refs, 12, lane, pick_vector(s.started, r.s, o))
     _remember(x, lane, s.started, advance(f, s.leader, s.offset, h, law))
+    x[lane] = pick(_in_reach(recall(x, lane)), x[lane], np.nan)
 
 
 @loop
 def plan(rows: Any, x: Any, h: float, law: PlannerLaw, refs: Any) -> None:
     """The trajectories of the virtual followers now, which then go on by `h` seconds.
 
-    They are at rest before the trigger, and then as in (35).
+    They are at rest before the trigger, and then as in (35). One that the observations have driven
+    further than can be computed, as a leader at 90 m/s does, waits for a start again.
     """
     for lane in range(_LANES):
         _plan(rows, x, lane, h, law, False, refs)
@@ -185,7 +199,8 @@ def _act(rows: Any, refs: Any, lane: Any, actuation: int, world: World, actions:
 
 @device
 def _unit(a: float) -> float:
-    return min(max(a, -1.0), 1.0)
+    """Within [-1, 1]; zero, which hovers, for what cannot be computed."""
+    return pick(a == a, min(max(a, -1.0), 1.0), 0.0)
 
 
 @loop
@@ -268,8 +283,9 @@ def decide(
     fresh: bool,
     space: Floats,
     actions: Rows,
-) -> None:
-    """One decision for every row `(N, entries)`; `fresh` if it may be the first of an episode.
+) -> bool:
+    """One decision for every row `(N, entries)`; `fresh` if a virtual follower may wait for its start.
+    Returns whether one does for the next decision.
 
     `memory` `(tiles, 9 L)` are the virtual followers, first number NaN where an episode begins; `space`
     of `ROOM` numbers is overwritten.
@@ -278,12 +294,14 @@ def decide(
     law = planner_law(gains)
     h, level = s.world.clock.period, s.world.level
     entries = CORE + GUIDE if level == REFERENCE else CORE
+    any_waits = False
     for t in range(len(memory)):
         x = carve(memory, t * VIRTUAL * LANES, (VIRTUAL * LANES,))
         take(rows, t, entries, room)
         if fresh and waiting(x):
             start(room.rows, x)
         plan_tile(room, x, h, law, derived)
+        any_waits = waiting(x) or any_waits
         if level == REFERENCE:
             accelerate(room.rows, x, room.refs, h, s.world.reach, room.actions)
         elif s.world.follower_actuation == MOMENT:
@@ -293,3 +311,4 @@ def decide(
         for lane in range(min(LANES, len(rows) - t * LANES)):
             for k in range(actions.shape[1]):
                 actions[t * LANES + lane, k] = room.actions[k * LANES + lane]
+    return any_waits

@@ -22,7 +22,9 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.reading import read_bytes
 from baselines.writing import write_bytes
+from formation_env.checks import LONGEST
 from formation_env.config import LEVELS
 from formation_env.task import Layout
 
@@ -32,6 +34,7 @@ LARGEST = 64 * 2**20  # bytes
 ACTIVATIONS = ("tanh", "relu")
 _KEY = "formation"
 _DEEPEST = 32  # layers
+_LONGEST_PATH = 200  # characters of it in a message
 # Sums in the network stay below this whatever it sees: far from where float32 ends, 3.4e38.
 _MOST = 1e30
 
@@ -262,7 +265,7 @@ def save(path: str | os.PathLike[str], card: Card, network: Network) -> None:
         if len(data) > LARGEST:
             raise ValueError(f"{len(data)} bytes: expected at most {LARGEST}")
     except ValueError as problem:
-        raise ValueError(f"{path}: {problem}") from None
+        raise ValueError(told(path, problem)) from None
     try:
         write_bytes(path, data)
     except OSError as problem:
@@ -277,22 +280,26 @@ def load(path: str | os.PathLike[str]) -> tuple[Card, Network]:
     of this format, cut short, of another version or observation layout, or with wrong numbers.
     """
     try:
-        metadata, tensors = _parse(_read(Path(path)))
+        metadata, tensors = _parse(_read(path))
         card = _read_card(metadata.get(_KEY))
         return card, _check_tensors(card, tensors)
     except ValueError as problem:
-        raise ValueError(f"{path}: {problem}") from None
+        raise ValueError(told(path, problem)) from None
 
 
-def _read(path: Path) -> bytes:
+def told(path: str | os.PathLike[str], problem: object) -> str:
+    """What is amiss with a file, in a message of at most `LONGEST` characters; of a long path its end."""
+    text = os.fspath(path)
+    place = text if len(text) <= _LONGEST_PATH else f"... {text[-_LONGEST_PATH:]}"
+    message = f"{place}: {problem}"
+    return message if len(message) <= LONGEST else f"{message[: LONGEST - 4]} ..."
+
+
+def _read(path: str | os.PathLike[str]) -> bytes:
     try:
-        with path.open("rb") as file:
-            data = file.read(LARGEST + 1)
+        return read_bytes(path, LARGEST)
     except OSError as problem:
         raise ValueError(f"cannot be read: {problem.strerror or problem}") from None
-    if len(data) > LARGEST:
-        raise ValueError(f"more than {LARGEST} bytes: not a policy file")
-    return data
 
 
 def _parse(data: bytes) -> tuple[dict[str, Any], dict[str, Singles]]:

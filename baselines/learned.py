@@ -16,6 +16,7 @@ from baselines.expert import Expert
 from baselines.files import Card, Network, check, load
 from baselines.forward import LANES, gathered, layer, padded, spread
 from baselines.policy import Policy, Rows
+from baselines.transfer import warn_of_transfer
 from formation_env import FormationConfig
 
 _ROWS = 1024  # at a time, so that what lies between the layers stays in the cache
@@ -32,7 +33,7 @@ class Learned(Policy):
     """The policy of a file, or of a card and its network, in its deterministic mode.
 
     Raises `ValueError` for a bad file, `Misfit` where observation or action are not the
-    configuration's.
+    configuration's; warns with `TransferWarning` where it was trained for another task.
     """
 
     name = "learned"
@@ -45,6 +46,7 @@ class Learned(Policy):
         else:
             self.card, network = load(source)
         _require_fit(self.card, config)
+        warn_of_transfer(self.card, config)
         self._layers = [
             (padded(W), padded(b)) for W, b in zip(network.weights, network.biases, strict=True)
         ]
@@ -54,17 +56,21 @@ class Learned(Policy):
         self._seen = np.zeros((0, self.card.history, self.card.entries), dtype=np.float32)
         self._fresh = np.zeros(0, dtype=np.bool_)  # (rows,), those whose episode begins
 
+    @property
+    def remembers(self) -> bool:
+        return self.card.history > 1 or self._expert is not None
+
     def begin(self, seeds: NDArray[np.uint64]) -> None:
         rows = len(seeds) * self.config.followers
         self._seen = np.zeros((rows, self.card.history, self.card.entries), dtype=np.float32)
         self._fresh = np.ones(rows, dtype=np.bool_)
         if self._expert is not None:
-            self._expert.reset(worlds=len(seeds))
+            self._expert.begin(seeds)
 
     def begin_again(self, mask: NDArray[np.bool_]) -> None:
         self._fresh |= np.repeat(mask, self.config.followers)
         if self._expert is not None:
-            self._expert.restart(mask)
+            self._expert.begin_again(mask)
 
     def decide(self, rows: Rows) -> Rows:
         worlds, n, size = rows.shape
@@ -77,7 +83,7 @@ class Learned(Policy):
         actions = np.clip(output, -1.0, 1.0).reshape(worlds, n, -1)
         if self._expert is None:
             return actions
-        below = self._expert.act(rows)
+        below = self._expert.decide(rows)
         together = below + np.float32(self.card.residual) * actions
         return np.asarray(np.clip(together, -1.0, 1.0), dtype=np.float32)
 

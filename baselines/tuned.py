@@ -9,7 +9,7 @@ tracker that flies the follower, belong to the world and keep the configuration'
 from __future__ import annotations
 
 import json
-import warnings
+import os
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from pathlib import Path
@@ -19,9 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.expert import Expert
+from baselines.files import told
 from baselines.policy import Policy, Rows
+from baselines.reading import read_bytes
+from baselines.warning import warn_user
 from formation_env import FormationConfig, configure
-from formation_env.checks import require
+from formation_env.checks import choice, refuse, require, shown
 from formation_env.config import LEVELS
 from formation_env.gains import PlannerGains, TrackerGains
 
@@ -50,8 +53,11 @@ class Gains:
     feedforward: str = "zero"  # or "derived"
 
     def __post_init__(self) -> None:
-        known = self.feedforward in FEEDFORWARDS
-        require(known, "feedforward", self.feedforward, "'zero' or 'derived'")
+        planned = isinstance(self.planner, PlannerGains)
+        require(planned, "planner", self.planner, "PlannerGains")
+        tracked = self.tracker is None or isinstance(self.tracker, TrackerGains)
+        require(tracked, "tracker", self.tracker, "TrackerGains or None")
+        choice("feedforward", self.feedforward, FEEDFORWARDS)
 
     def document(self) -> dict[str, Any]:
         """The gains as in the file."""
@@ -82,7 +88,7 @@ def lawful(config: FormationConfig, gains: Gains) -> FormationConfig:
     name = tracker_field(config)
     if (name is None) != (gains.tracker is None):
         expected = "none: the environment's own flies" if name is None else "the tracker's gains"
-        raise ValueError(f"tracker = {gains.tracker!r}: expected {expected}")
+        refuse("tracker", gains.tracker, expected)
     given: dict[str, Any] = {} if name is None else {name: gains.tracker}
     return configure(config, planner=gains.planner, **given)
 
@@ -90,25 +96,27 @@ def lawful(config: FormationConfig, gains: Gains) -> FormationConfig:
 # -- the file -------------------------------------------------------------------------------------
 
 
-def read(path: Path = GAINS) -> Table:
+def read(path: str | os.PathLike[str] = GAINS) -> Table:
     """The gains in a file by scenario and action level.
 
-    Raises `ValueError` naming the file and what in it is not as expected: not JSON, another version, a
-    gain too many, missing, not finite or against a condition of the paper.
+    Raises `ValueError` naming the file and what in it is not as expected: no regular file, not JSON,
+    another version, a gain too many, missing, not finite or against a condition of the paper.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_named_once)
+        text = read_bytes(path).decode("utf-8")
+        document = json.loads(text, object_pairs_hook=_named_once)
         return {
             (scenario, action): _gains(entry, f"{scenario}.{action}", action)
             for scenario, actions in _entries(document).items()
             for action, entry in _object(actions, scenario).items()
         }
     except OSError as problem:
-        raise ValueError(f"{path}: {problem.strerror}; expected a file of gains") from None
-    except (UnicodeDecodeError, json.JSONDecodeError) as problem:
-        raise ValueError(f"{path}: {problem}; expected JSON") from None
+        raise ValueError(told(path, f"{problem.strerror}; expected a file of gains")) from None
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as problem:
+        reason = "nested too deep" if isinstance(problem, RecursionError) else problem
+        raise ValueError(told(path, f"{reason}; expected JSON")) from None
     except ValueError as problem:
-        raise ValueError(f"{path}: {problem}") from None
+        raise ValueError(told(path, problem)) from None
 
 
 def _named_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -163,23 +171,24 @@ def _shipped() -> Table:
 class ExpertTuned(Policy):
     """The expert with gains of its own.
 
-    By default those found for the configuration's scenario and action level. Where none were found it
-    warns with `UntunedWarning` and flies with the configuration's, as the expert does; `tuned` says
-    which. Raises `ValueError` for gains that do not fit the configuration.
+    By default those found for the configuration's scenario and action level, whatever else of the
+    scenario was changed: they stay within the conditions of the paper's theorems. Where none were found
+    it warns with `UntunedWarning` and flies with the configuration's, as the expert does; `tuned` says
+    which. Raises `ValueError` for what are no gains, and for gains that do not fit the configuration.
     """
 
     name = "expert-tuned"
 
     def __init__(self, config: FormationConfig, gains: Gains | None = None) -> None:
         super().__init__(config)
+        require(gains is None or isinstance(gains, Gains), "gains", gains, "Gains or None")
         found = gains or _shipped().get((config.scenario, config.action))
         self.tuned = found is not None
         if found is None:
-            warnings.warn(
-                f"expert-tuned: no gains were found for scenario {config.scenario!r} at action level "
+            warn_user(
+                f"expert-tuned: no gains were found for scenario {shown(config.scenario)} at action level "
                 f"{config.action!r}; the configuration's own fly",
                 UntunedWarning,
-                stacklevel=2,
             )
         self.gains = found or own(config)
         try:

@@ -6,6 +6,7 @@ import json
 import os
 import pickle
 import struct
+import warnings
 from contextlib import suppress
 from dataclasses import asdict, replace
 from itertools import pairwise
@@ -25,7 +26,12 @@ from baselines.files import Card, Network, load, save
 from baselines.learned import Learned, Misfit
 from baselines.policy import Policy
 from baselines.scoring import enlist, evaluate
-from formation_env import FormationConfig, configure
+from baselines.transfer import TransferWarning
+from formation_env import FeasibilityWarning, FormationConfig, configure
+from formation_env.checks import LONGEST
+from formation_env.scenarios import PAPER_NOISE
+from formation_env.trajectories import hover
+from formation_env.vehicle import Vehicle
 
 NOMINAL = configure("nominal")
 ENTRIES = NOMINAL.layout.size
@@ -385,6 +391,41 @@ def test_a_disk_that_fills_while_writing(tmp_path: Path, monkeypatch: pytest.Mon
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_a_pipe_or_device_is_not_waited_for(tmp_path: Path) -> None:
+    path = tmp_path / "pipe.safetensors"
+    os.mkfifo(path)
+    for special in (path, Path("/dev/zero")):
+        with pytest.raises(ValueError, match=r"cannot be read: a .*, not a regular file"):
+            load(special)
+    with pytest.raises(ValueError, match=r"pipe\.safetensors: cannot be read: a pipe"):
+        make_policy(str(path), NOMINAL)
+
+
+def test_a_written_file_has_the_mode_of_the_umask(tmp_path: Path) -> None:
+    for mask in (0o027, 0o077):
+        path, before = tmp_path / f"{mask}.safetensors", os.umask(mask)
+        try:
+            save(path, card(), network(card()))
+        finally:
+            os.umask(before)
+        assert path.stat().st_mode & 0o777 == 0o666 & ~mask
+
+
+def test_no_message_is_long(tmp_path: Path) -> None:
+    deep = tmp_path / "/".join(["x" * 200] * 5) / "policy.safetensors"
+    with pytest.raises(ValueError, match="cannot be read: No such file") as refusal:
+        load(deep)
+    assert len(str(refusal.value)) <= LONGEST
+    for named in (
+        {"mean": np.zeros((1,) * 64, np.float32)},
+        {"y" * 5000: np.zeros(3, np.float32)},
+        {**_numbers(), "mean": np.zeros((1,) * 60, np.float32)},
+    ):
+        with pytest.raises(ValueError, match=r"policy\.safetensors") as refusal:
+            load(written(tmp_path / "policy.safetensors", named))
+        assert len(str(refusal.value)) <= LONGEST
+
+
 def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(OSError, match=r"cannot write the policy: No such file.*gone"):
         save(tmp_path / "gone" / "policy.safetensors", card(), network(card()))
@@ -418,6 +459,7 @@ def test_forward_pass(activation: str, hidden: tuple[int, ...]) -> None:
     assert (np.abs(actions) < 1.0).any() and np.ptp(actions) > 1.0
 
 
+@pytest.mark.filterwarnings("ignore::baselines.transfer.TransferWarning")
 @pytest.mark.parametrize("hidden", [(), (37, 51), (128, 128)])
 @pytest.mark.parametrize("history", [1, 3])
 def test_a_row_is_independent_of_the_others(hidden: tuple[int, ...], history: int) -> None:
@@ -461,6 +503,7 @@ def test_history_is_stacked_newest_last_and_begins_anew() -> None:
     assert np.array_equal(policy.act(seen[0]), actions[0])
 
 
+@pytest.mark.filterwarnings("ignore::baselines.transfer.TransferWarning")
 @pytest.mark.parametrize("level", ["wrench", "rates", "reference"])
 def test_residual_policies_add_to_the_expert(level: str) -> None:
     config = configure("paper", action=level)
@@ -497,6 +540,60 @@ def test_a_policy_that_does_not_fit(tmp_path: Path) -> None:
     spoilt = network(card())._replace(mean=np.full(ENTRIES, np.nan, np.float32))
     with pytest.raises(ValueError, match="tensor mean"):
         Learned(NOMINAL, (card(), spoilt))
+
+
+# -- another task than it was trained for ---------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("scenario", "given", "expected"),
+    [
+        ("nominal", {"followers": 3}, "flies another task: 3 followers"),
+        ("nominal", {"followers": 1, "gust": 1.0}, "flies another task: 1 follower, gust"),
+        ("nominal", {"followers": 64}, "64 followers"),
+        ("agile", {}, "flies another task: scenario 'agile' with 2 followers"),
+        ("swarm", {}, "scenario 'swarm' with 16 followers"),
+        ("nominal", {"trajectory": hover((0.0, 0.0, -2.0))}, "another task: trajectory"),
+        ("nominal", {"noise": PAPER_NOISE, "gust": 0.1}, "another task: noise, gust"),
+        ("nominal", {"offsets": ((0.4, 0.4, 0.0), (0.4, -0.4, 0.0))}, "another task: offsets"),
+        ("nominal", {"vehicle": Vehicle(mass=0.2)}, "another task: vehicle"),
+    ],
+)
+def test_a_policy_on_a_task_it_was_not_trained_for(
+    scenario: str, given: dict[str, Any], expected: str
+) -> None:
+    """`dagger`, trained with two followers on `nominal`, crashes after 35 to 51 steps elsewhere."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FeasibilityWarning)
+        config = configure(scenario, neighbours=2, **given)
+    with pytest.warns(TransferWarning) as told:
+        make_policy("dagger", config)
+    (message,) = {str(one.message) for one in told}
+    start = (
+        "policy (dagger) trained on scenario 'nominal' at action level 'wrench' with 2 followers"
+    )
+    assert message.startswith(start) and expected in message and len(message) <= LONGEST
+
+
+def test_what_a_policy_does_not_feel_is_no_other_task() -> None:
+    """Starts, lengths, rewards and limits of episodes; and a scenario of one's own is what its card says."""
+    rewards = NOMINAL.reward._replace(failure=1.0)
+    limits = NOMINAL.limits._replace(lost=5.0)
+    make_policy("dagger", configure("nominal", duration=3.0, reward=rewards, limits=limits))
+    make_policy("dagger", configure("nominal", start="ground", start_offset=0.1))
+    mine = replace(configure("agile"), scenario="mine")
+    Learned(mine, (card(mine, scenario="mine"), network(card(mine))))
+    with pytest.warns(TransferWarning, match=r"trained on scenario 'mine' .* scenario 'agile'"):
+        Learned(configure("agile"), (card(mine, scenario="mine"), network(card(mine))))
+
+
+def test_python_shows_the_warning_once() -> None:
+    config = configure("nominal", followers=3)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.resetwarnings()
+        for _ in range(5):
+            make_policy("dagger", config)
+    assert len(told) == 1
 
 
 # -- restarting some worlds -----------------------------------------------------------------------
@@ -549,6 +646,7 @@ def test_policies_without_memory_go_on(name: str) -> None:
 # -- scoring --------------------------------------------------------------------------------------
 
 
+@pytest.mark.filterwarnings("ignore::baselines.transfer.TransferWarning")
 def test_a_file_is_scored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """From the command line, also where it has no place on a scenario; threads change nothing."""
     path = tmp_path / "my policy.safetensors"
@@ -615,6 +713,7 @@ def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+@pytest.mark.filterwarnings("ignore::baselines.transfer.TransferWarning")
 def test_methods_fly_their_scenarios_file_or_that_of_nominal(shipped: Path) -> None:
     rows = looks(3)
     for scenario, used in (("nominal", "nominal"), ("paper", "paper"), ("agile", "nominal")):
@@ -629,6 +728,7 @@ def test_methods_fly_their_scenarios_file_or_that_of_nominal(shipped: Path) -> N
         make_policy("bc", NOMINAL)
 
 
+@pytest.mark.filterwarnings("ignore::baselines.transfer.TransferWarning")
 @pytest.mark.usefixtures("shipped")
 def test_shipped_methods_are_scored_unasked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

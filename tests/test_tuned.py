@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,6 +18,7 @@ from baselines.expert import Expert
 from baselines.rollout import fly
 from baselines.tuned import ExpertTuned, Gains, UntunedWarning, lawful, own, read
 from formation_env import SCENARIOS, FeasibilityWarning, configure
+from formation_env.checks import LONGEST
 from formation_env.simulation import Simulation, seeded_key
 
 SHIPPED = read()
@@ -113,7 +115,7 @@ def test_gains_that_do_not_fit_are_refused() -> None:
     steep = Gains(replace(mine.planner, z_max=6.0), mine.tracker)
     with pytest.raises(ValueError, match=r"expert-tuned: .*sigma_max < g - z_max.*\(53\)"):
         ExpertTuned(config, steep)
-    with pytest.raises(ValueError, match="feedforward = 'some': expected 'zero' or 'derived'"):
+    with pytest.raises(ValueError, match="feedforward = 'some': expected one of 'zero', 'derived'"):
         Gains(mine.planner, mine.tracker, "some")
 
 
@@ -178,6 +180,21 @@ def test_a_wrong_file_is_refused(tmp_path: Path, document: dict[str, Any], chang
     with pytest.raises(ValueError, match=message) as refused:
         read(path)
     assert str(refused.value).startswith(str(path))
+
+
+def test_a_pipe_is_not_waited_for_and_messages_stay_short(
+    tmp_path: Path, document: dict[str, Any]
+) -> None:
+    os.mkfifo(tmp_path / "pipe.json")
+    with pytest.raises(ValueError, match=r"pipe.json: a pipe, not a regular file; expected a file"):
+        read(tmp_path / "pipe.json")
+    path = tmp_path / "gains.json"
+    document["gains"] = {"x" * 3000: {"wrench": {}}}
+    for text in (json.dumps(document), "[" * 100_000):
+        path.write_text(text)
+        with pytest.raises(ValueError, match=r"gains.json: ") as refusal:
+            read(path)
+        assert len(str(refusal.value)) <= LONGEST
 
 
 @pytest.mark.parametrize("text", ["", '{"version": 1', "\x00", "[]", '{"version": 1}'])
