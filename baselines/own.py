@@ -98,9 +98,10 @@ class Own(Policy):
         self._objects = [first]
         self._together = _takes_worlds(first)
         self._seeds = np.zeros(0, dtype=np.uint64)
+        self._episodes = np.zeros(0, dtype=np.int64)  # begun in each world since then
 
     def begin(self, seeds: NDArray[np.uint64]) -> None:
-        self._seeds = seeds.copy()
+        self._seeds, self._episodes = seeds.copy(), np.zeros(len(seeds), dtype=np.int64)
         if self._together:
             self._objects[0].reset(int(seeds[0]), worlds=len(seeds))
             return
@@ -115,8 +116,12 @@ class Own(Policy):
             if restart is not None:
                 restart(mask)
             return
+        self._episodes[mask] += 1
         for world in np.flatnonzero(mask):
-            self._objects[world].reset(int(self._seeds[world]))
+            # Another seed for each episode, or one that draws at random would repeat itself.
+            entropy = (int(self._seeds[world]), int(self._episodes[world]))
+            (seed,) = np.random.SeedSequence(entropy).generate_state(1, np.uint64)
+            self._objects[world].reset(int(seed))
 
     def decide(self, rows: Rows) -> Rows:
         shape = (*rows.shape[:2], self.config.action_size)

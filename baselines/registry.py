@@ -13,6 +13,7 @@ from baselines.files import SUFFIX, Card, load
 from baselines.learned import Learned, Misfit
 from baselines.policy import Policy
 from baselines.simple import Hover, Pd, Random
+from baselines.transfer import marked
 from baselines.tuned import ExpertTuned
 from formation_env import FormationConfig
 from formation_env.checks import require
@@ -96,7 +97,8 @@ def _from_file(name: str, config: FormationConfig) -> Recipe:
     source = load(path)
     made = Recipe(partial(Learned, source=source), path.name, source[0])
     try:
-        made.make(config)
+        with marked():  # only tried
+            made.make(config)
     except Misfit as problem:
         raise Misfit(f"{path}: {problem}") from None
     return made
@@ -117,6 +119,7 @@ def make_policy(policy: Any, config: FormationConfig) -> Policy:
     A name of `POLICIES`, a method of `METHODS`, whose file for the configuration's scenario and action
     level is taken (for a scenario without one that of `nominal`), a path that ends in
     `.safetensors`, or your own: `module:Name`, `file.py:Name`, a class or an object (see
-    `baselines.own`). Raises `ValueError` as `recipe` does.
+    `baselines.own`). Raises `ValueError` as `recipe` does; warns with `TransferWarning` where a file
+    was trained for another task.
     """
     return recipe(policy, config).make(config)

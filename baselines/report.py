@@ -100,7 +100,7 @@ def _estimate(e: Estimate) -> dict[str, float | int | None]:
 
 
 def grid(report: Report, cell: Callable[[Estimate], str]) -> str:
-    """A row for each policy, a column for each scenario; in italics what was trained on another one."""
+    """A row for each policy, a column for each scenario; in italics what was trained for another task."""
     policies = dict.fromkeys(p for s in report.scenarios.values() for p in s.results)
     rows = [
         ["policy", *(f"`{name}`" for name in report.scenarios)],

@@ -18,6 +18,7 @@ from baselines.policy import Policy
 from baselines.progress import Bar, compiling
 from baselines.registry import POLICIES, Recipe, Unshipped, make_policy, recipe
 from baselines.rollout import Episodes, chunks, fly
+from baselines.transfer import differences, marked
 from formation_env import FeasibilityWarning, FormationConfig
 
 EPISODES = 100
@@ -45,6 +46,7 @@ class Source(NamedTuple):
     method: str
     scenario: str  # trained on
     action: str  # at this level
+    differs: bool  # whether the task flown is another one than it was trained for
 
 
 class Scenario(NamedTuple):
@@ -58,10 +60,9 @@ class Scenario(NamedTuple):
     absent: dict[str, str]  # policies that cannot fly here, and why
 
     def untrained(self, policy: str) -> bool:
-        """Whether the policy is a file that was trained on another scenario."""
+        """Whether the policy is a file that was trained for another task: `transfer.differences`."""
         source = self.sources.get(policy)
-        own = (self.config.scenario, self.config.action)
-        return source is not None and (source.scenario, source.action) != own
+        return source is not None and source.differs
 
 
 class Flight(NamedTuple):
@@ -194,7 +195,7 @@ def evaluate(
         if config.estimator == "differenced" and above_expert(results):
             measuring = _measuring(config, episodes, seed)
         span = float(each["expert"]["return"].mean() - each["hover"]["return"].mean())
-        scenarios[name] = Scenario(config, results, span, measuring, _sources(crew), crew.absent)
+        scenarios[name] = Scenario(config, results, span, measuring, _sources(crew, config), crew.absent)
     return Report(seed, episodes, scenarios)
 
 
@@ -209,13 +210,20 @@ def ready(
     for name, crew in crews.items():
         for made in crew.recipes.values():
             if here and not made.own:
-                fly(made.make(configs[name]), range(1), most=2)
+                with marked():
+                    fly(made.make(configs[name]), range(1), most=2)
     return crews
 
 
-def _sources(crew: Crew) -> dict[str, Source]:
+def _sources(crew: Crew, config: FormationConfig) -> dict[str, Source]:
     return {
-        policy: Source(made.file, made.card.method, made.card.scenario, made.card.action)
+        policy: Source(
+            made.file,
+            made.card.method,
+            made.card.scenario,
+            made.card.action,
+            bool(differences(made.card, config)),
+        )
         for policy, made in crew.recipes.items()
         if made.card is not None
     }
@@ -243,7 +251,8 @@ def _fly_all(
 
 def _fly_here(flights: Sequence[Flight], threads: int, bar: Bar) -> list[Episodes]:
     """The flights shared out between threads of this process."""
-    pilots = [flight.recipe.make(flight.config) for flight in flights]
+    with marked():
+        pilots = [flight.recipe.make(flight.config) for flight in flights]
     with ThreadPoolExecutor(threads, thread_name_prefix="evaluate") as pool:
         try:
             futures = [

@@ -42,7 +42,7 @@ def wrapped(text: str, columns: int | None = None) -> str:
 def _notes(report: Report) -> Iterable[str]:
     scenarios = report.scenarios
     if any(s.untrained(policy) for s in scenarios.values() for policy in s.results):
-        yield f"{ELSEWHERE} trained on another scenario"
+        yield f"{ELSEWHERE} trained for another task"
     if any(policy in s.absent for s in scenarios.values() for policy in _policies(report)):
         yield "- does not fly this scenario: the full report says why"
     useless = [name for name, s in scenarios.items() if not s.span > 0.0]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import fields
 from functools import lru_cache
 
@@ -44,6 +47,14 @@ def differences(card: Card, config: FormationConfig) -> list[str]:
     if own.followers != config.followers:
         changed = [_crew(config.followers), *(name for name in changed if name != "offsets")]
     return changed
+
+
+@contextmanager
+def marked() -> Iterator[None]:
+    """Within, `TransferWarning` is not shown: for results that mark such a policy themselves."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TransferWarning)
+        yield
 
 
 def warn_of_transfer(card: Card, config: FormationConfig) -> None:
