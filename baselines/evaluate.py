@@ -135,7 +135,10 @@ def _claim(given: argparse.Namespace, stack: ExitStack) -> None:
         given.output.resolve(): (given.output, FILES)
     }
     if given.leaderboard is not None:
-        board.check(given.leaderboard)
+        try:
+            board.check(given.leaderboard)
+        except ValueError as problem:
+            raise ValueError(f"argument --leaderboard: {problem}") from None
         folders.setdefault(given.leaderboard.resolve(), (given.leaderboard, (board.NAME,)))
     for folder, names in folders.values():
         try:
@@ -175,25 +178,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     with ExitStack() as stack, _collected_warnings() as told:
         try:
-            if given.address is not None and not given.ray:
-                raise ValueError("argument --address: only with --ray")
-            with compiling():
-                configs = _configs(given)
-                everybody = available(configs.values())
-                given.policies = getattr(given, "policies", everybody)
-                enlist(configs, given.policies)
-                _claim(given, stack)
-                crews = ready(configs, given.policies, here=not given.ray)
-        except ValueError as problem:
-            parser.error(str(problem))
-        try:
-            with _fleet(given) as fleet:
-                g = given
-                flown = scoring.evaluate(
-                    configs, g.policies, g.episodes, g.seed, g.threads, False, fleet, crews
-                )
-        except cluster.Unreachable as problem:
-            parser.error(str(problem))
+            flown, command = _fly(given, parser, stack)
         except (cluster.ClusterError, PolicyError) as problem:
             if problem.__cause__ is not None:
                 console.complain("".join(traceback.format_exception(problem.__cause__)).rstrip())
@@ -203,12 +188,42 @@ def main(arguments: Sequence[str] | None = None) -> int:
             console.complain("interrupted: nothing was written")
             return 130
         try:
-            written = _write(flown, given, _command(given, everybody))
+            written = _write(flown, given, command)
         except OSError as problem:
             console.complain(f"{parser.prog}: error: {problem}; earlier results are kept")
             return 1
     _print(flown, told, written)
     return 0
+
+
+def _fly(
+    given: argparse.Namespace, parser: argparse.ArgumentParser, stack: ExitStack
+) -> tuple[Report, str]:
+    """The results, and the command that repeats them; the folders are claimed until `stack` is closed.
+
+    Raises `SystemExit` for what is wrong with the options, `ClusterError` and `PolicyError`.
+    """
+    try:
+        if given.address is not None and not given.ray:
+            raise ValueError("argument --address: only with --ray")
+        with compiling():
+            configs = _configs(given)
+            everybody = available(configs.values())
+            given.policies = getattr(given, "policies", everybody)
+            enlist(configs, given.policies)
+            _claim(given, stack)
+            crews = ready(configs, given.policies, here=not given.ray)
+    except ValueError as problem:
+        parser.error(str(problem))
+    try:
+        with _fleet(given) as fleet:
+            g = given
+            flown = scoring.evaluate(
+                configs, g.policies, g.episodes, g.seed, g.threads, False, fleet, crews
+            )
+    except cluster.Unreachable as problem:
+        parser.error(str(problem))
+    return flown, _command(given, everybody)
 
 
 @contextmanager

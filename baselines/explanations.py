@@ -7,13 +7,13 @@ from math import sqrt
 
 import numpy as np
 
-from baselines.cells import scored
-from baselines.scoring import Report, Result, Scenario, above_expert
+from baselines.scoring import Report, Result, above_expert
 from formation_env import FormationConfig
 from formation_env.quadrotor import RATES
 
 Reason = Callable[[Result, Result], bool]  # of a policy's result and the expert's
 
+AHEAD = "These score above the expert"
 CLIMB = (
     "The return counts the whole time limit, and before the trigger (40) fires every follower is far from "
     "its slot, so a policy that climbs to the start faster is paid earlier"
@@ -34,7 +34,7 @@ def explanations(report: Report) -> list[str]:
     }
     better = {name: policies for name, policies in better.items() if policies}
     return [
-        *(_ahead(name, report.scenarios[name], policies) for name, policies in better.items()),
+        *_shared(report, better, AHEAD, lambda own, best: True),
         *_shared(report, better, CLIMB, _climbs_faster),
         *_shared(report, better, SLOWER, _earns_less),
         *_measured(report, better),
@@ -46,11 +46,6 @@ def explanations(report: Report) -> list[str]:
 
 def _listed(names: list[str]) -> str:
     return ", ".join(f"`{name}`" for name in names)
-
-
-def _ahead(name: str, scenario: Scenario, policies: list[str]) -> str:
-    each = ", ".join(f"`{p}` {scored(scenario.results[p].score)}" for p in policies)
-    return f"Above the expert on `{name}`: {each}."
 
 
 def _shared(report: Report, better: dict[str, list[str]], text: str, holds: Reason) -> list[str]:

@@ -19,12 +19,14 @@ from pathlib import Path
 from typing import Any
 
 from baselines import console
+from baselines.options import Parser, formatter, whole
 from baselines.reproduction import continuous, sampled, tables
 from baselines.reproduction.claims import Claim, Cost, claim_table, cost_table
 from baselines.reproduction.claims_continuous import flight_claims, planar_claims
 from baselines.reproduction.claims_experiment import experiment_claims
 from baselines.reproduction.claims_formation import formation_claims
 from baselines.reproduction.costs import feedforward_costs
+from baselines.writing import claim, write_text
 from formation_env.config import NO_NOISE
 from formation_env.feasibility import FeasibilityWarning
 
@@ -36,10 +38,6 @@ PLANAR, FLIGHT, FORMATION, EXPERIMENT = (2, 3), (4, 5), (6, 7, 8, 9), (11, 12, 1
 _GUST = 0.03
 
 Outcome = tuple[list[Claim], dict[int, tables.Table], dict[int, Any]]
-
-
-def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
 
 
 def _planar(seed: int, worlds: int) -> Outcome:
@@ -98,7 +96,7 @@ def write_summary(
         "claims": [c._asdict() for c in claims],
         "feedforward": {"default": "zero", "costs": [c._asdict() for c in costs]},
     }
-    path.write_text(json.dumps(content, indent=2, default=float) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(content, indent=2, default=float) + "\n")
 
 
 def reproduce(
@@ -119,7 +117,7 @@ def reproduce(
     for numbers, simulate in GROUPS.items():
         shown = sorted(wanted.intersection(numbers))
         if shown:
-            _say(f"figures {', '.join(map(str, shown))} ...")
+            console.complain(f"figures {', '.join(map(str, shown))} ...")
             found, columns, motions = simulate(seed, worlds)
             claims += found
             digits = 9 if numbers in (PLANAR, FLIGHT) else 6
@@ -129,7 +127,7 @@ def reproduce(
                     _draw(number, motions[number], out / f"fig{number:02d}.png")
     costs = []
     if wanted.intersection(FORMATION):
-        _say("third and fourth derivatives ...")
+        console.complain("third and fourth derivatives ...")
         costs = feedforward_costs(seed, worlds)
     write_summary(out / "summary.json", claims, costs, seed, worlds)
     return claims, costs
@@ -142,63 +140,30 @@ def _draw(number: int, motion: Any, path: Path) -> None:
     plots.draw(number, motion, path)
 
 
-def _positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{value}: expected at least 1")
-    return value
-
-
-def _seed(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{value}: expected at least 0")
-    return value
-
-
-def _arguments(argv: Sequence[str] | None) -> tuple[argparse.ArgumentParser, argparse.Namespace]:
-    parser = argparse.ArgumentParser(
+def _arguments(argv: Sequence[str] | None) -> tuple[Parser, argparse.Namespace]:
+    parser = Parser(
         prog="formation-paper",
         description="Redo the paper's figures and measure its claims.",
+        formatter_class=formatter,
         allow_abbrev=False,
     )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("results/paper"),
-        metavar="DIR",
-        help="folder for pictures, tables and summary.json (default: results/paper)",
-    )
-    parser.add_argument(
-        "--figures",
-        type=int,
-        nargs="+",
-        choices=FIGURES,
-        default=FIGURES,
-        metavar="N",
-        help="numbers of the figures to redo, of 2 to 9 and 11 to 14 (default: all)",
-    )
-    parser.add_argument(
-        "--seed",
-        type=_seed,
-        default=0,
-        metavar="N",
-        help="seed of the run that is drawn (default: 0)",
-    )
-    parser.add_argument(
-        "--seeds",
-        type=_positive,
-        default=20,
-        metavar="N",
-        help="number of runs that claims about noise are measured on (default: 20)",
-    )
-    parser.add_argument("--no-plots", action="store_true", help="write tables and numbers only")
+    add = parser.add_argument
+    add("--out", type=Path, default=Path("results/paper"), metavar="DIR",
+        help="output folder (default: results/paper)")  # fmt: skip
+    add("--figures", type=int, nargs="+", choices=FIGURES, default=FIGURES, metavar="N",
+        help="some figures only (default: all, 2 to 9 and 11 to 14)")  # fmt: skip
+    add("--seed", type=whole(0, 2**32), default=0, metavar="N",
+        help="seed of the run that is drawn (default: 0)")  # fmt: skip
+    add("--seeds", type=whole(1, 100_000), default=20, metavar="N",
+        help="number of runs that claims about noise are measured on (default: 20)")  # fmt: skip
+    add("--no-plots", action="store_true", help="write numbers only; needs no Matplotlib")
     return parser, parser.parse_args(argv)
 
 
 @console.command
 def main(argv: Sequence[str] | None = None) -> int:
-    """The command; returns its exit status. One line on standard error says why it cannot go on."""
+    """Entry point of `formation-paper`; returns the exit status, or raises `SystemExit` with one line on
+    the standard error for a wrong option. The files are written before anything is printed."""
     parser, args = _arguments(argv)
     if not args.no_plots and importlib.util.find_spec("matplotlib") is None:
         parser.error(
@@ -209,11 +174,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The paper's own trajectory breaks the sufficient bound (29)-(30); no follower inverts on it.
         warnings.simplefilter("ignore", FeasibilityWarning)
         try:
-            claims, costs = reproduce(
-                args.out, args.figures, args.seed, args.seeds, not args.no_plots
-            )
-        except OSError as error:
-            parser.exit(1, f"{parser.prog}: error: cannot write to {args.out}: {error}\n")
+            with claim(args.out):
+                claims, costs = reproduce(
+                    args.out, args.figures, args.seed, args.seeds, not args.no_plots
+                )
+        except OSError as problem:
+            reason = problem.strerror or problem
+            console.complain(f"{parser.prog}: error: cannot write to {args.out}: {reason}")
+            return 1
+        except KeyboardInterrupt:
+            console.complain(f"interrupted: what is in {args.out} may be incomplete")
+            return 130
     console.say(claim_table(claims))
     if costs:
         console.say("\n" + cost_table(costs))

@@ -10,7 +10,7 @@ nominal:rates                    a scenario at an action level
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import is_dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -105,22 +105,25 @@ def tasks(
         if path.stem in origins:
             raise ValueError(f"{path}: there are two tasks of the name {path.stem!r}")
         origins[path.stem] = {**_fields(path), **common}
-    points = list(product(*(zip(s.values, s.texts, strict=True) for s in sweeps)))
+    always = [(s.field, s.values[0]) for s in settings]
+    points = list(_points(sweeps))
     if len(points) * len(origins) > MOST:
         raise ValueError(f"{len(points) * len(origins)} tasks: expected at most {MOST}")
     found = {}
-    for name, fields in origins.items():
-        for point in points:
-            swept = [(s.field, value) for s, (value, _) in zip(sweeps, point, strict=True)]
-            label = " ".join(
-                [name, *(f"{s.field}={t}" for s, (_, t) in zip(sweeps, point, strict=True))]
-            )
-            changes = [*((s.field, s.values[0]) for s in settings), *swept]
-            try:
-                found[label] = changed(fields, changes)
-            except (ValueError, TypeError) as problem:
-                raise ValueError(f"scenario {label}: {problem}") from None
+    for (name, fields), (suffix, swept) in product(origins.items(), points):
+        try:
+            found[name + suffix] = changed(fields, [*always, *swept])
+        except (ValueError, TypeError) as problem:
+            raise ValueError(f"scenario {name}{suffix}: {problem}") from None
     return found
+
+
+def _points(sweeps: Sequence[Setting]) -> Iterator[tuple[str, list[tuple[str, Any]]]]:
+    """Every combination of the sweeps' values: what it adds to a task's name, and the fields."""
+    for point in product(*(zip(s.values, s.texts, strict=True) for s in sweeps)):
+        each = list(zip(sweeps, point, strict=True))
+        suffix = "".join(f" {s.field}={text}" for s, (_, text) in each)
+        yield suffix, [(s.field, value) for s, (value, _) in each]
 
 
 def _scenario(name: str) -> dict[str, Any]:

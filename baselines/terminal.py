@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from baselines.console import width
 from baselines.scoring import Report, Scenario
 
-GAP = "  "
+GAP = " "  # a cell ends in a place for its mark
 ELSEWHERE = "*"  # marks what a policy from a file scores where it was not trained
 
 
@@ -17,7 +17,7 @@ def summary(report: Report, columns: int | None = None) -> str:
     """Scores, failures and what the marks mean, at most `columns` wide (by default: the terminal)."""
     columns = width() if columns is None else columns
     head = f"score of {report.episodes} episodes: hover is 0, the expert 1, higher is better"
-    parts = [f"{head}\n{_table(report, _score, columns)}"]
+    parts = [f"{wrapped(head, columns)}\n{_table(report, _score, columns)}"]
     if any(
         r.summary["failed"].value > 0.0
         for s in report.scenarios.values()

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import os
 import sys
+import warnings
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -16,6 +18,7 @@ from baselines import make_policy, rollout
 from baselines.metrics import EPISODE
 from baselines.report import to_json
 from baselines.scoring import Report, evaluate
+from baselines.writing import claim
 from formation_env import SCENARIOS, configure
 
 SHORT = 4.0  # s
@@ -233,13 +236,45 @@ def test_a_full_disk_is_an_error_message(
     assert "No space left on device" in capsys.readouterr().err
 
 
-def test_interruption_stops_the_flight(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Whatever stops one worker stops all of them, and no results appear."""
+def test_two_runs_do_not_share_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Both ended well, and the results of one were gone."""
+    with claim(tmp_path), pytest.raises(SystemExit) as stop:
+        command.main([*QUICK, "--output", str(tmp_path)])
+    assert stop.value.code == 2
+    error = capsys.readouterr().err
+    assert f"{tmp_path}: a run that is not finished writes there (process {os.getpid()} " in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
 
-    def interrupted(*_: object) -> None:
-        raise KeyboardInterrupt
+
+def test_warnings_come_once_and_last(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fly = rollout.fly
+
+    def warned(*args: Any, **options: Any) -> Any:
+        warnings.warn("gains of another scenario", UserWarning, stacklevel=1)
+        return fly(*args, **options)
+
+    monkeypatch.setattr("baselines.scoring.fly", warned)
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        assert command.main([*QUICK, "--output", str(tmp_path)]) == 0
+    shown = capsys.readouterr()
+    assert shown.out.count("warning: gains of another scenario") == 1
+    assert "gains of another" not in shown.err
+    assert shown.out.splitlines()[-1].startswith("intervals, all metrics and remarks: ")
+
+
+@pytest.mark.parametrize("early", [True, False])
+def test_interruption_stops_the_flight(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], early: bool
+) -> None:
+    """Whatever stops one worker stops all of them, and no results appear; also while compiling."""
+
+    def interrupted(*_: object, most: int | None = None) -> None:
+        if (most is not None) == early:
+            raise KeyboardInterrupt
 
     monkeypatch.setattr("baselines.scoring.fly", interrupted)
     assert command.main([*QUICK, "--output", str(tmp_path)]) == 130

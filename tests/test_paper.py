@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from math import hypot, log
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from baselines.reproduction.claims_continuous import (
 )
 from baselines.reproduction.claims_formation import predicted_correlation
 from baselines.reproduction.continuous import Flight, Planar
+from baselines.writing import claim
 from formation_env.config import NO_NOISE
 from formation_env.scenarios import configure
 
@@ -321,8 +323,10 @@ def test_missing_matplotlib_is_said_before_anything_starts(
     ("arguments", "message"),
     [
         (["--figures", "10"], "10"),
-        (["--seeds", "0"], "at least 1"),
-        (["--seed", "-1"], "at least 0"),
+        (["--seeds", "0"], "'0': expected a whole number from 1 to"),
+        (["--seeds", "many"], "'many': expected a whole number from 1 to"),
+        (["--seed", "-1"], "'-1': expected a whole number from 0 to"),
+        (["--sed", "1"], "unrecognized arguments: --sed 1"),
     ],
 )
 def test_impossible_options_are_refused(
@@ -331,7 +335,8 @@ def test_impossible_options_are_refused(
     with pytest.raises(SystemExit) as stop:
         paper.main(arguments)
     assert stop.value.code == 2
-    assert message in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
 
 
 def test_an_output_folder_that_is_a_file_is_refused(
@@ -339,8 +344,15 @@ def test_an_output_folder_that_is_a_file_is_refused(
 ) -> None:
     blocked = tmp_path / "taken"
     blocked.write_text("mine")
-    with pytest.raises(SystemExit) as stop:
-        paper.main(["--out", str(blocked), "--figures", "2", "--no-plots"])
-    assert stop.value.code == 1
+    assert paper.main(["--out", str(blocked), "--figures", "2", "--no-plots"]) == 1
     assert "cannot write to" in capsys.readouterr().err
     assert blocked.read_text() == "mine"
+
+
+def test_an_output_folder_of_another_run_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with claim(tmp_path):
+        assert paper.main(["--out", str(tmp_path), "--figures", "2", "--no-plots"]) == 1
+    error = capsys.readouterr().err
+    assert f"process {os.getpid()} on" in error and str(tmp_path) in error

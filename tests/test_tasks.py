@@ -12,7 +12,7 @@ import pytest
 
 from baselines import evaluate as command
 from baselines.tasks import read_setting, read_sweep, tasks
-from formation_env import FormationConfig, configure
+from formation_env import FeasibilityWarning, FormationConfig, configure
 
 
 def flown(*words: str, scenario: str = "nominal") -> dict[str, FormationConfig]:
@@ -45,7 +45,9 @@ def test_the_scenarios_own_vehicle_is_changed() -> None:
 
 def test_followers_and_offsets() -> None:
     assert flown("followers=5")["nominal"].followers == 5
-    assert flown("offsets=[[1, 0, 0]]")["nominal"].offsets == ((1.0, 0.0, 0.0),)
+    with pytest.warns(FeasibilityWarning):
+        config = flown("offsets=[[0.35, 0.35, -0.3]]")["nominal"]
+    assert config.offsets == ((0.35, 0.35, -0.3),)
     config = flown("followers=5", "noise.position=0.1")["nominal"]
     assert (config.followers, config.noise.position) == (5, 0.1)
 

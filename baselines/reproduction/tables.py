@@ -9,6 +9,7 @@ import numpy as np
 
 from baselines.reproduction.continuous import Flight, Planar
 from baselines.reproduction.sampled import Run
+from baselines.writing import write_text
 from formation_env.references import Floats
 
 _XYZ = ("x", "y", "z")
@@ -92,4 +93,4 @@ def write_csv(path: Path, table: Table, digits: int = 9) -> None:
     """Write a header line and one line per row, `digits` significant digits."""
     lines = "\n".join([",".join([f"%.{digits}g"] * len(table.names))] * len(table.values))
     text = lines % tuple(table.values.ravel().tolist())
-    path.write_text(",".join(table.names) + "\n" + text + "\n", encoding="utf-8")
+    write_text(path, ",".join(table.names) + "\n" + text + "\n")
