@@ -113,6 +113,10 @@ BAD: dict[str, tuple[Change, str]] = {
     ),
     "observations of infinity": (entry("last/obs", np.inf), "last/obs[0][0] = inf"),
     "worlds of NaN": (entry("environment/world.vehicles", np.nan), "environment/world.vehicles"),
+    "a counter beyond its table": (
+        became("environment/world.counters", lambda x: np.full_like(x, 10**6)),
+        "counters",
+    ),
     "a memory of another kind": (
         became("environment/expert.memory", lambda x: np.zeros(x.shape, np.int32)),
         "environment/expert.memory is int32",
