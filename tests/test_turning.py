@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from numba import config as numba_config
 from states import P, Q, V, W, begun, still, unchecked, vehicles
 
 from formation_env import Vehicle, configure, kernels, lanes
@@ -258,7 +259,7 @@ def test_in_ordinary_flight_it_is_certain() -> None:
 
 def test_a_world_does_not_depend_on_what_its_neighbours_do_at_the_floor() -> None:
     """Light vehicles, a substep in each tick: one world of a tile near the floor, or all high up."""
-    tiles = 600
+    tiles = 4 if numba_config.DISABLE_JIT else 600
     config = unchecked(vehicle={"inertia": (1e-6,) * 3, "moment_max": (0.05,) * 3}, substeps=1)
     flights = [Simulation(config, tiles * LANES) for _ in range(2)]
     for flight in flights:
