@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formation_env._jit import device
+from formation_env.checks import refuse
 from formation_env.sensors import Measured
 from formation_env.slots import in_frame
 from formation_env.so3 import Rotation, Vector, dot, rotation, sub
@@ -269,8 +270,8 @@ class Layout:
         """Rows from named entries, the inverse of `unpack`; raises `ValueError` on wrong names."""
         wanted = {*self.slices, *(entry.name for entry in NEIGHBOUR_ENTRIES)}
         if set(named) != wanted:
-            odd = sorted(set(named) ^ wanted)
-            raise ValueError(f"entries {odd} missing or unknown: expected {sorted(wanted)}")
+            odd = sorted(map(str, set(named) ^ wanted))
+            refuse("entries missing or unknown", odd, ", ".join(sorted(wanted)))
         leading = named["slot_error"].shape[:-1]
         parts = [np.asarray(named[entry.name]) for entry in self.entries]
         tail = [np.asarray(named[entry.name]) for entry in NEIGHBOUR_ENTRIES]

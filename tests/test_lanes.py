@@ -20,6 +20,7 @@ from formation_env.memory import (
 )
 from formation_env.quadrotor import saturate
 from formation_env.sensors import Measured
+from formation_env.turning import turning
 from formation_env.world import Guide, guide_on, guided, motion, track
 
 Floats = npt.NDArray[np.float64]
@@ -67,8 +68,9 @@ def test_clocks_move_on_in_the_worlds_that_step() -> None:
     lanes.number_samples(tick, counts)
     np.testing.assert_array_equal(counts, tick + 1)
     starts = np.zeros(LANES, np.int64)
-    lanes.find_rows(clock, 16, starts)
-    np.testing.assert_array_equal(starts, 16 * clock)
+    for rows in (0, 40, int(clock.max()), int(clock.max()) + 1):
+        assert lanes.find_rows(clock, rows, 16, starts) == (clock >= rows).sum()
+        np.testing.assert_array_equal(starts, 16 * clock)
 
 
 def test_who_waits_for_the_start_is_counted() -> None:
@@ -188,3 +190,34 @@ def test_a_guided_follower_is_commanded_as_one_alone(scenario: str) -> None:
         found = command.reshape(4, LANES)[:, lane]
         np.testing.assert_allclose(found, [applied.thrust, *applied.turn], rtol=1e-9, atol=1e-12)
     np.testing.assert_array_equal(rows[:GUIDE_P], was[:GUIDE_P])
+
+
+def test_lanes_may_meet_the_floor_each_for_itself() -> None:
+    """Counted where active: those low or falling, not those high up; of moments and of rates."""
+    frame = configure().vehicle.airframe()
+    for seed in range(10):
+        draw = drawn(seed)
+        x, active = np.zeros((16, LANES)), flags(draw)
+        low = draw.integers(0, 2, LANES).astype(np.bool_)
+        x[2], x[9] = np.where(low, -0.001, -1.0), 1.0
+        x[5], command = 0.1, np.zeros(4 * LANES)
+        rest = x.ravel(), command, np.zeros(3 * LANES), active, 0.02
+        expected = (low & (active > 0.0)).sum()
+        turn = turning(frame, 0.02, 4)
+        assert lanes.doubtful_by_moment(*rest, frame.mass, turn) == expected
+        assert lanes.doubtful_by_rates(*rest, 0.005, frame) == expected
+
+
+@pytest.mark.parametrize("row", [0, 3, 9, 13])
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e200])
+def test_what_cannot_be_computed_is_noted_as_an_infinite_speed(row: int, value: float) -> None:
+    draw = drawn(row)
+    x, touch = draw.normal(size=(16, LANES)), draw.uniform(0.0, 2.0, 3 * LANES)
+    x[9:13] /= np.linalg.norm(x[9:13], axis=0)
+    expected, bad = touch.copy(), draw.integers(0, 2, LANES).astype(np.bool_)
+    x[row, bad] = value
+    if row == 9:  # normalised, one that is infinite has become NaN and one too large zero
+        x[9:13, bad] = 0.0 if value == 1e200 else np.nan
+    lanes.note_unsound(x.ravel(), touch)
+    expected[:LANES][bad] = np.inf
+    np.testing.assert_array_equal(touch, expected)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from numba import config as numba_config
 from states import P, Q, V, W, begun, still, unchecked, vehicles
 
 from formation_env import Vehicle, configure, kernels, lanes
@@ -163,6 +164,35 @@ def scene(seed: int) -> tuple[Floats, Floats, Floats, Airframe, int, int]:
     return *turned(share), push, frame, substeps, actuation
 
 
+def test_the_constants_are_those_of_the_proof() -> None:
+    """The norm in which Euler's equation does no work, the bound of its gyroscopic part, and of a moment."""
+    draw, h = np.random.default_rng(0), PERIOD / 4
+    for _ in range(200):
+        frame = Vehicle().airframe()._replace(inertia=body(draw, draw.choice([0.1, 1.0, 3.0])))
+        J = np.array(frame.inertia)[:, None]
+        found = turning(frame, PERIOD, 4)
+        weights, effects = (
+            np.array(found.weights)[:, None] / h**2,
+            np.array(found.effects)[:, None] / h**2,
+        )
+        z = found.room / (1.0 - 1e-9) + found.gain
+        c = found.gain / z**2
+        w = draw.normal(size=(3, 500)) / np.sqrt(J)
+        turn = -np.cross(w, J * w, axis=0) / J
+        square, gyroscopic = (weights * w**2).sum(axis=0), np.sqrt((weights * turn**2).sum(axis=0))
+        work = (weights * w * turn).sum(axis=0)
+        assert (np.abs(work) <= 1e-9 * np.sqrt(square) * (gyroscopic + square)).all()
+        assert (w**2).sum(axis=0).max() <= square.max() * (1.0 + 1e-12)
+        assert (gyroscopic <= c * square * (1.0 + 1e-9)).all()
+        assert (gyroscopic / square).max() > 0.5 * c
+        moment = draw.normal(size=(3, 500))
+        moment[1:, ::2] = 0.0
+        size = np.sqrt((weights * (moment / J) ** 2).sum(axis=0))
+        bound = (effects * np.abs(moment)).sum(axis=0)
+        assert (size <= bound * (1.0 + 1e-9)).all()
+        np.testing.assert_allclose(size[::2], bound[::2])
+
+
 @pytest.mark.parametrize("first", range(0, 30, 10))
 def test_what_is_certain_to_stay_up_does(first: int) -> None:
     """At the lowest height that is certain, and turning as fast as is certain."""
@@ -258,7 +288,7 @@ def test_in_ordinary_flight_it_is_certain() -> None:
 
 def test_a_world_does_not_depend_on_what_its_neighbours_do_at_the_floor() -> None:
     """Light vehicles, a substep in each tick: one world of a tile near the floor, or all high up."""
-    tiles = 600
+    tiles = 4 if numba_config.DISABLE_JIT else 600
     config = unchecked(vehicle={"inertia": (1e-6,) * 3, "moment_max": (0.05,) * 3}, substeps=1)
     flights = [Simulation(config, tiles * LANES) for _ in range(2)]
     for flight in flights:
