@@ -359,10 +359,16 @@ class FormationConfig:
         return Gusts(keep, self.gust * sqrt(1.0 - keep * keep))
 
 
-def quietly(make: Callable[..., FormationConfig], *args: Any, **given: Any) -> FormationConfig:
-    """What `make` makes, without the warning that only the sufficient bound (29)-(30) fails."""
+def quietly(
+    make: Callable[..., FormationConfig],
+    *args: Any,
+    silent: tuple[type[Warning], ...] = (FeasibilityWarning,),
+    **given: Any,
+) -> FormationConfig:
+    """What `make` makes, without warnings of some kinds: that only the bound (29)-(30) fails."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FeasibilityWarning)
+        for kind in silent:
+            warnings.simplefilter("ignore", kind)
         return make(*args, **given)
 
 

@@ -22,6 +22,7 @@ from formation_env import (
     formations,
     trajectories,
 )
+from formation_env.leader_path import FlightWarning
 
 
 def spread(low: float, high: float) -> st.SearchStrategy[float]:
@@ -134,6 +135,7 @@ def accepted(scenario: str, options: dict[str, Any]) -> FormationConfig:
     """The configuration; the draw is given up where it is refused."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FeasibilityWarning)
+        warnings.simplefilter("ignore", FlightWarning)
         try:
             return configure(scenario, **options)
         except ValueError:
