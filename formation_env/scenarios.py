@@ -20,7 +20,7 @@ import numpy as np
 
 from formation_env import formations
 from formation_env.checks import integer, refuse, require, unexpected_keyword
-from formation_env.config import MAX_FOLLOWERS, PARTS, FormationConfig, quietly
+from formation_env.config import PARTS, FormationConfig, quietly
 from formation_env.feasibility import FeasibilityWarning, require_feasible
 from formation_env.gains import PlannerGains
 from formation_env.leader_path import FlightWarning
@@ -178,7 +178,7 @@ def _named(scenario: str, followers: int | None, overrides: dict[str, Any]) -> F
     """A named scenario with some of its fields overridden."""
     arguments = []
     if followers is not None:
-        arguments.append(integer("followers", followers, 1, MAX_FOLLOWERS))
+        arguments.append(integer("followers", followers, 1, formations.MAX_FOLLOWERS))
         if "offsets" in overrides:
             raise ValueError("followers and offsets given: expected one of them")
     if "offsets" in overrides:  # the scenario's own starts belong to its own formation
