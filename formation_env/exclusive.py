@@ -32,7 +32,7 @@ class Exclusive:
                 "another thread is at work in this environment: one thread at a time, or an environment "
                 "for each thread (workers of its own are asked for by threads=)"
             )
-        self.__init__()  # type: ignore[misc]
+        self._lock, self._process = threading.RLock(), os.getpid()
         self._lock.acquire()
 
     def __reduce__(self) -> tuple[Any, ...]:

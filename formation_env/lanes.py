@@ -164,7 +164,7 @@ def _land(x: Any, flown: Body, touch: Any, lane: Any) -> None:
     _put_body(x, lane, kept)
     harder = contact.touching & (contact.speed > touch[lane])
     touch[at(1, lane)] = pick(harder, contact.uprightness, touch[at(1, lane)])
-    touch[lane] = max(touch[lane], contact.speed)
+    touch[lane] = max(touch[lane], pick(contact.speed < np.inf, contact.speed, np.inf))
     touch[at(2, lane)] = pick(contact.touching, 1.0, 0.0)
 
 
@@ -207,19 +207,16 @@ def doubtful_by_rates(
 
 @loop
 def note_unsound(x: Any, touch: Any) -> None:
-    """NaN into row 3 of `touch` where a vehicle's state has left what can be computed, else 0.
+    """An infinite speed into `touch` where a vehicle's state has left what can be computed.
 
-    A position that is not finite need not be looked for: it shows in the slot error.
+    So `_land` has done where it put such a one to rest on the floor.
     """
     for lane in range(_LANES):
-        v, w, q = (
-            load_vector(x, 3, lane),
-            load_vector(x, RATE_OF_TURN, lane),
-            _four(x, ATTITUDE, lane),
-        )
+        p, v = load_vector(x, 0, lane), load_vector(x, 3, lane)
+        w, q = load_vector(x, RATE_OF_TURN, lane), _four(x, ATTITUDE, lane)
         unit = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
-        sound = (dot(v, v) + dot(w, w) < np.inf) & (unit > 0.5)
-        touch[at(3, lane)] = pick(sound, 0.0, np.nan)
+        sound = (dot(p, p) + dot(v, v) + dot(w, w) < np.inf) & (unit > 0.5)
+        touch[lane] = pick(sound, touch[lane], np.inf)
 
 
 @loop
@@ -656,8 +653,8 @@ def judge(
     """
     for lane in range(_LANES):
         on = active[lane] > 0.0
-        # Rows 3 hold 0, or NaN where one of the two is no longer to be computed: then so is the error.
-        error = np.sqrt(out[at(ERROR_SQUARED, lane)]) + (touch[at(3, lane)] + leader[at(3, lane)])
+        # Not a number where one of the two is unsound, else what it was.
+        error = np.sqrt(out[at(ERROR_SQUARED, lane)]) + 0.0 * (touch[lane] + leader[lane])
         separation = np.sqrt(out[at(SEPARATION_SQUARED, lane)])
         out[at(SEPARATION, lane)] = separation
         why = failure(separation, touch[lane], touch[at(1, lane)], error, limits)

@@ -120,7 +120,7 @@ class Scratch(NamedTuple):
     actions: Floats  # (n, 4 L): as executed
     commands: Floats  # (n+1, 4 L): thrust and turn of each vehicle
     touches: (
-        Floats  # (n+1, 4 L): hardest touch-down: speed, uprightness; touching now; NaN if unsound
+        Floats  # (n+1, 3 L): hardest touch-down: speed (inf: unsound), uprightness; touching now
     )
     outcomes: Floats  # (n, 15 L): `OUTPUTS`, then the squares of slot error and separation
     nearest: Floats  # (K+1, 2 L): neighbours by squared distance and number; a candidate
@@ -340,7 +340,7 @@ def _scratch_lengths(z: Sizes) -> tuple[int, ...]:
         MEASURED_ROWS * V * L if z.delays > 1 else 0,
         4 * n * L,
         4 * V * L,
-        4 * V * L,
+        3 * V * L,
         _OUTCOME * n * L,
         2 * K * L,
         (K - 1) * n * L,
@@ -452,7 +452,7 @@ def open_scratch(room: Any, state: State, z: Any) -> Scratch:
         seen,
         carve(room, at[16], (V - 1, 4 * L)),
         carve(room, at[17], (V, 4 * L)),
-        carve(room, at[18], (V, 4 * L)),
+        carve(room, at[18], (V, 3 * L)),
         carve(room, at[19], (V - 1, _OUTCOME * L)),
         carve(room, at[20], (K, 2 * L)),
         carve(room, at[21], (V - 1, (K - 1) * L)),

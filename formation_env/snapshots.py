@@ -115,7 +115,7 @@ def _check_vehicles(vehicles: Floats, name: str) -> None:
     _check_finite(name, vehicles)
     _check_attitudes(name, vehicles[..., ATTITUDE : ATTITUDE + 4], 1e-6)
     with np.errstate(over="ignore"):
-        for first, what in ((3, "velocity"), (RATE_OF_TURN, "angular velocity")):
+        for first, what in ((0, "position"), (3, "velocity"), (RATE_OF_TURN, "angular velocity")):
             square = np.square(vehicles[..., first : first + 3]).sum(axis=-1)
             _refuse_where(
                 ~np.isfinite(square), f"{name} ({what}, squared)", square, "a finite number"

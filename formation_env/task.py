@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -169,9 +170,11 @@ def failure(
     """How a follower failed in this tick, if it did.
 
     Distances in m, `speed` of the hardest touch-down in m/s (0 in the air), its `uprightness` r3 . k.
-    An error that is not a number counts as lost: the state has left what can be computed.
+    An error that is not a number counts as lost: the state has left what can be computed. An infinite `speed`
+    is no crash: it says the same.
     """
     crashed = (speed > limits.impact) | ((speed > 0.0) & (uprightness < limits.tilt))
+    crashed = crashed & (speed < inf)
     lost = not error <= limits.lost
     why = LOST if lost else NO_FAILURE
     why = IMPACT if crashed else why

@@ -1,0 +1,308 @@
+"""The floor's bound: where it says that a vehicle stays up it does, and little more is asked for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from states import P, Q, V, W, begun, still, unchecked, vehicles
+
+from formation_env import Vehicle, configure, kernels, lanes
+from formation_env.lanes import LANES
+from formation_env.quadrotor import GRAVITY, MOMENT, RATES, Airframe
+from formation_env.simulation import Simulation
+from formation_env.turning import turning
+
+Floats = npt.NDArray[np.float64]
+PERIOD = 0.02
+
+
+# -- an oracle: Runge and Kutta on arrays, which notes the fastest turn and the largest r3z of its stages ---
+
+
+def product(q: Floats, w: Floats) -> Floats:
+    """`q (0, w) / 2`."""
+    a, (x, y, z) = q[0], q[1:]
+    return 0.5 * np.array(
+        [
+            -x * w[0] - y * w[1] - z * w[2],
+            a * w[0] + y * w[2] - z * w[1],
+            a * w[1] + z * w[0] - x * w[2],
+            a * w[2] + x * w[1] - y * w[0],
+        ]
+    )
+
+
+class Flight:
+    """States `(16, N)`, commands `(4, N)`, gusts `(3, N)`: flown by substeps."""
+
+    def __init__(
+        self, x: Floats, command: Floats, push: Floats, frame: Any, actuation: int
+    ) -> None:
+        self.x, self.command, self.push = x.copy(), command, push
+        self.frame, self.actuation = frame, actuation
+        self.fastest, self.tilt = np.zeros(x.shape[1]), np.zeros(x.shape[1])
+
+    def rates(self, y: tuple[Floats, ...]) -> tuple[Floats, ...]:
+        _, v, q, w = y
+        J = np.array(self.frame.inertia)[:, None]
+        r3 = np.array(
+            [
+                2 * (q[1] * q[3] + q[0] * q[2]),
+                2 * (q[2] * q[3] - q[0] * q[1]),
+                1 - 2 * (q[1] ** 2 + q[2] ** 2),
+            ]
+        )
+        a = self.push - self.command[0] / self.frame.mass * r3
+        a[2] += GRAVITY
+        self.turned = np.linalg.norm(w, axis=0)
+        self.tilt = np.maximum(self.tilt, np.abs(r3[2]))
+        if self.actuation == MOMENT:
+            turn = (self.command[1:] - np.cross(w, J * w, axis=0)) / J
+        else:
+            turn = (self.command[1:] - w) / self.frame.rate_lag
+        return v, a, product(q, w), turn
+
+    def substep(self, h: float) -> Floats:
+        """Fly one; the heights after it."""
+        y = tuple(self.x[part].copy() for part in (P, V, Q, W))
+
+        def ahead(step: float, k: tuple[Floats, ...]) -> tuple[Floats, ...]:
+            return tuple(a + step * b for a, b in zip(y, k, strict=True))
+
+        a = self.rates(y)
+        self.fastest = np.maximum(self.fastest, self.turned)
+        b = self.rates(ahead(h / 2, a))
+        self.fastest = np.maximum(self.fastest, self.turned)
+        c = self.rates(ahead(h / 2, b))
+        self.fastest = np.maximum(self.fastest, self.turned)  # the last stage's turns nothing
+        d = self.rates(ahead(h, c))
+        for part, old, *k in zip((P, V, Q, W), y, a, b, c, d, strict=True):
+            self.x[part] = old + h / 6 * (k[0] + 2 * k[1] + 2 * k[2] + k[3])
+        self.x[Q] /= np.linalg.norm(self.x[Q], axis=0)
+        return self.x[2].copy()
+
+
+def certain(
+    x: Floats, command: Floats, push: Floats, frame: Any, substeps: int, actuation: int
+) -> Any:
+    """Of which lanes the bound says that they stay up."""
+    found = []
+    flat = x.ravel().copy(), command.ravel().copy(), push.ravel().copy()
+    for lane in range(LANES):
+        active = np.zeros(LANES)
+        active[lane] = 1.0
+        if actuation == MOMENT:
+            constants = turning(frame, PERIOD, substeps)
+            count = lanes.doubtful_by_moment(*flat, active, PERIOD, frame.mass, constants)
+        else:
+            count = lanes.doubtful_by_rates(*flat, active, PERIOD, PERIOD / substeps, frame)
+        found.append(count == 0)
+    return np.array(found)
+
+
+def largest(good: Any, low: Floats, high: Floats, steps: int = 14) -> Floats:
+    """The largest factors between two, by bisection, for which `good` holds, which it does for `low`."""
+    for _ in range(steps):
+        middle = np.sqrt(low * high)
+        yes = good(middle)
+        low, high = np.where(yes, middle, low), np.where(yes, high, middle)
+    return low
+
+
+def body(draw: np.random.Generator, spread: float) -> Any:
+    """A rigid body's inertia: none above the sum of the others."""
+    masses = 10.0 ** draw.uniform(-spread, 0.0, 3)
+    return tuple(10.0 ** draw.uniform(-7, -2) * (masses.sum() - masses))
+
+
+def scene(seed: int) -> tuple[Floats, Floats, Floats, Airframe, int, int]:
+    """A random vehicle, clock and 16 states, most of them turning about as fast as the bound allows."""
+    draw = np.random.default_rng(seed)
+    actuation, substeps = int(draw.integers(0, 2)), int(draw.choice([1, 1, 2, 3, 4, 8, 20]))
+    h = PERIOD / substeps
+    frame = Airframe(
+        mass=10.0 ** draw.uniform(-3, 1),
+        inertia=body(draw, draw.choice([0.1, 1.0, 3.0])),
+        thrust_min=0.0,
+        thrust_max=1.0,
+        moment_max=(1.0,) * 3,
+        rate_max=(1.0,) * 3,
+        rate_lag=h * 10.0 ** draw.uniform(-0.4, 1.5),
+    )
+    x, command = np.zeros((16, LANES)), np.zeros((4, LANES))
+    push = draw.normal(size=(3, LANES)) * draw.choice([0.0, 1.0, 30.0])
+    x[Q] = draw.normal(size=(4, LANES))
+    x[Q, ::3] = np.array([0.0, 1.0, 0.0, 0.0])[:, None]  # upside down
+    x[Q] /= np.linalg.norm(x[Q], axis=0)
+    x[V] = draw.normal(size=(3, LANES)) * 10.0 ** draw.uniform(-2, 1, LANES)
+    x[2] = -1e6
+    weight = frame.mass * GRAVITY
+    command[0] = weight * 10.0 ** draw.uniform(-1, 2, LANES) * draw.choice([-1, 1], LANES)
+    x[W] = draw.normal(size=(3, LANES)) * draw.integers(0, 2, (3, 1))
+    command[1:] = draw.normal(size=(3, LANES)) * 10.0 ** draw.uniform(-6, 0, LANES)
+    if actuation == MOMENT:
+        command[1:] *= np.array(frame.inertia)[:, None] / h
+    else:
+        command[1:, ::2] = -x[W, ::2]
+
+    def turned(factor: Floats) -> tuple[Floats, Floats]:
+        y, u = x.copy(), command.copy()
+        y[W] *= factor
+        u[1:] *= factor
+        return y, u
+
+    def slow(factor: Floats) -> Any:
+        y, u = turned(factor)
+        return certain(y, u, push, frame, substeps, actuation)
+
+    share = largest(slow, np.full(LANES, 1e-12), np.full(LANES, 1e12 * h))
+    share[5::6] *= draw.uniform(1.0, 30.0)  # beyond what is certain
+    return *turned(share), push, frame, substeps, actuation
+
+
+@pytest.mark.parametrize("first", range(0, 30, 10))
+def test_what_is_certain_to_stay_up_does(first: int) -> None:
+    """At the lowest height that is certain, and turning as fast as is certain."""
+    seen = {MOMENT: 0, RATES: 0}
+    for seed in range(first, first + 10):
+        x, command, push, frame, substeps, actuation = scene(seed)
+        h = PERIOD / substeps
+
+        def high(factor: Floats) -> Any:
+            x[2] = -1.0 / factor  # noqa: B023
+            return certain(x, command, push, frame, substeps, actuation)  # noqa: B023
+
+        factor = largest(high, np.full(LANES, 1e-6), np.full(LANES, 1e9), 30)
+        sure = high(factor)
+        seen[actuation] += int(sure.sum())
+        with np.errstate(all="ignore"):
+            flight = Flight(x, command, push, frame, actuation)
+            lowest = np.max([flight.substep(h) for _ in range(substeps)], axis=0)
+        assert (lowest[sure] < 0.0).all(), (seed, lowest[sure].max())
+        assert (h * flight.fastest[sure] <= 1.0 + 1e-9).all(), seed
+        assert (flight.tilt[sure] <= 2.25).all(), seed
+    assert min(seen.values()) > 20
+
+
+def test_the_bound_is_nearly_reached() -> None:
+    """Upside down, spun back and forth as fast as is certain: a stage pushes down 2.1 times the thrust."""
+    h = PERIOD
+    frame = Vehicle(rate_lag=h / 2).airframe()
+    x, command, push = np.zeros((16, LANES)), np.zeros((4, LANES)), np.zeros((3, LANES))
+    x[Q, :] = np.array([0.0, 1.0, 0.0, 0.0])[:, None]
+    x[15], command[3], command[0] = 0.999 / h, -0.999 / h, 1000.0
+    x[2] = -0.5
+    flight = Flight(x, command, push, frame, RATES)
+    drop = flight.substep(h) - x[2]
+    assert 2.05 < flight.tilt.max() < 2.25
+    assert (drop > 0.57 * h * h * 1000.0 / frame.mass).all()
+    for height, sure in ((drop * 0.99, False), (drop * 2.0, True)):
+        x[2] = -height
+        assert (certain(x, command, push, frame, 1, RATES) == sure).all()
+
+
+def test_a_fall_is_foreseen_exactly() -> None:
+    """Without thrust, at rest and thrown up or down: to a millionth of a metre."""
+    frame = Vehicle().airframe()
+    x, command, push = np.zeros((16, LANES)), np.zeros((4, LANES)), np.zeros((3, LANES))
+    x[9] = 1.0
+    x[5] = np.linspace(-3.0, 3.0, LANES)
+    fall = np.maximum(PERIOD * x[5] + 0.5 * GRAVITY * PERIOD**2, 0.0)
+    for actuation in (MOMENT, RATES):
+        x[2] = -fall - 1e-6
+        assert certain(x, command, push, frame, 4, actuation).all()
+        x[2] = -fall + 1e-6
+        assert not certain(x, command, push, frame, 4, actuation).any()
+        x[2] = -fall
+        assert not certain(x, command, push, frame, 4, actuation).any()
+        push[2] = 20.0  # a gust, that may turn
+        x[2] = -fall - 0.5 * 19.9 * PERIOD**2
+        assert not certain(x, command, push, frame, 4, actuation)[x[5] >= 0.0].any()
+        push[2] = 0.0
+
+
+@pytest.mark.parametrize("part", [P, V, Q, W], ids="pvqw")
+@pytest.mark.parametrize("actuation", [MOMENT, RATES])
+def test_what_is_no_number_is_never_certain(part: slice, actuation: int) -> None:
+    frame = Vehicle().airframe()
+    for value in (np.nan, np.inf):
+        x, command, push = np.zeros((16, LANES)), np.zeros((4, LANES)), np.zeros((3, LANES))
+        x[9], x[2] = 1.0, -100.0
+        assert certain(x, command, push, frame, 4, actuation).all()
+        if part != Q:  # an attitude has no part in it
+            x[part, ::2] = value
+        command[:, 1::2] = value
+        found = certain(x, command, push, frame, 4, actuation)
+        assert not found[1::2].any()
+        assert found[::2].all() if part == Q else not found[::2].any()
+
+
+def test_in_ordinary_flight_it_is_certain() -> None:
+    """A metre up, turning as fast as a vehicle does that is not tumbling."""
+    for actuation in (MOMENT, RATES):
+        frame = Vehicle().airframe()
+        x, command, push = np.zeros((16, LANES)), np.zeros((4, LANES)), np.zeros((3, LANES))
+        x[9], x[2], x[5], command[0] = 1.0, -1.0, 5.0, frame.thrust_max
+        x[13] = np.linspace(-30.0, 30.0, LANES)
+        command[1:] = np.array(frame.moment_max if actuation == MOMENT else frame.rate_max)[:, None]
+        assert certain(x, command, push, frame, 4, actuation).all()
+        x[13] = 250.0
+        assert not certain(x, command, push, frame, 4, actuation).any()
+
+
+# -- through the kernel ---------------------------------------------------------------------------------
+
+
+def test_a_world_does_not_depend_on_what_its_neighbours_do_at_the_floor() -> None:
+    """Light vehicles, a substep in each tick: one world of a tile near the floor, or all high up."""
+    tiles = 600
+    config = unchecked(vehicle={"inertia": (1e-6,) * 3, "moment_max": (0.05,) * 3}, substeps=1)
+    flights = [Simulation(config, tiles * LANES) for _ in range(2)]
+    for flight in flights:
+        for world in range(flight.num_worlds):
+            flight.seed(world, world)
+        flight.reset()
+    draw = np.random.default_rng(2)
+    state, actions = vehicles(flights[0]), still(flights[0])
+    state[:, :, 2] -= 50.0
+    low = state[:, 1:, :, 0]  # the first world of each tile
+    low[..., 2] = -(10.0 ** draw.uniform(-3, -0.5, low.shape[:2]))
+    low[..., 5] = draw.normal(size=low.shape[:2])
+    q = draw.normal(size=(*low.shape[:2], 4))
+    low[..., Q] = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    low[..., W] = draw.normal(size=(*low.shape[:2], 3)) * 30.0
+    actions[::LANES] = np.sign(draw.normal(size=actions[::LANES].shape))
+    vehicles(flights[1])[:] = state
+    vehicles(flights[1])[:, 1:, 2, 1] = -1e-9  # the second world meets the floor
+    for flight in flights:
+        flight.step(actions, kernels.STEP)
+    alone, beside = (vehicles(flight)[:, 1:, :, 0] for flight in flights)
+    np.testing.assert_array_equal(alone, beside)
+
+
+def test_few_ticks_look_out_for_the_floor() -> None:
+    """On `nominal`, hovering: none at all, though vehicles are at 1.2 m and may fall with 2 g more."""
+    flight = begun(32)
+    frame, constants = (
+        flight.config.vehicle.airframe(),
+        turning(flight.config.vehicle.airframe(), 0.02, 4),
+    )
+    command = np.zeros((4, LANES))
+    command[0] = frame.thrust_max
+    for _ in range(50):
+        flight.step(still(flight))
+        for tile in flight._state.vehicles:
+            for x in tile:
+                args = np.zeros(3 * LANES), np.ones(LANES), PERIOD, frame.mass, constants
+                assert lanes.doubtful_by_moment(x, command.ravel(), *args) == 0
+
+
+def test_the_configured_vehicles_are_covered() -> None:
+    for scenario in ("nominal", "paper", "experiment", "agile", "swarm"):
+        config = configure(scenario)
+        found = turning(config.vehicle.airframe(), config.control_period, config.substeps)
+        assert found.room > 0.1
+        assert 0.0 <= found.gain < found.room
