@@ -132,6 +132,7 @@ class FormationConfig:
             self.trajectory,
             self.duration,
             self.offsets,
+            self.neighbours,
             self.leader_start,
             self.follower_starts,
             self.vehicle,

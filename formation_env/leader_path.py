@@ -98,6 +98,7 @@ def require_flyable(
     trajectory: Trajectory,
     duration: float,
     offsets: Sequence[Vector],
+    neighbours: int,
     leader_start: Vector | None,
     follower_starts: Sequence[Vector] | None,
     vehicle: Vehicle,
@@ -106,10 +107,11 @@ def require_flyable(
     """Check the leader's path over `duration` seconds, the slots around it and the start points.
 
     Offsets and starts as the configuration has them (m, starts inertial); `actuation` is that of the
-    leader. Raises `ValueError` where an observation's bound is exceeded: coordinates of 10,000 m, a
-    slot error of 1,000 m at the start, velocities of 100 m/s and, if the vehicle can reach it, an
-    acceleration of 100 m/s^2. Warns with `FlightWarning` where the actuators cannot give what the path
-    asks for. A random trajectory is judged by its bounds and by a few of its draws, always the same.
+    leader, `neighbours` are those that a follower observes. Raises `ValueError` where an observation's
+    bound is exceeded: coordinates of 10,000 m, a slot error at the start or a distance to an observed
+    neighbour of 1,000 m, velocities of 100 m/s and, if the vehicle can reach it, an acceleration of
+    100 m/s^2. Warns with `FlightWarning` where the actuators cannot give what the path asks for. A
+    random trajectory is judged by its bounds and by a few of its draws, always the same.
     """
     reach = reach_of(vehicle, actuation)
     out = max(hypot(*d) for d in offsets)
@@ -120,6 +122,7 @@ def require_flyable(
     starts = [] if leader_start is None else [("leader_start", leader_start)]
     starts += [(f"follower_starts[{i}]", p) for i, p in enumerate(follower_starts or ())]
     _require_starts_near(trajectory, starts)
+    _require_neighbours_near(np.array(offsets), neighbours)
 
 
 def _bounds(trajectory: Trajectory, duration: float) -> Floats:
@@ -263,10 +266,11 @@ def _warn_of(trajectory: Trajectory, demands: Demands, reach: Reach) -> None:
             reasons.append(f"{found} where {limit} {most:.3g}")
     if reasons:
         peak = demands.acceleration
+        drawn = " (one of its draws)" if trajectory.random is not None else ""
         message = (
-            f"the leader cannot fly trajectory {shown(trajectory.name)}, which accelerates at up to "
-            f"{peak.value:.3g} m/s^2 {peak.when}: it needs {'; '.join(reasons)}. "
-            f"{_EASE.capitalize()}; smooth a measured log, or give fewer of its rows"
+            f"the leader cannot fly trajectory {shown(trajectory.name)}{drawn}, which accelerates at "
+            f"up to {peak.value:.3g} m/s^2 {peak.when}: it needs {'; '.join(reasons)}. "
+            f"{_EASE.capitalize()}; smooth a measured log or give fewer rows"
         )
         warnings.warn(shortened(message), FlightWarning, stacklevel=5)
 
@@ -286,3 +290,19 @@ def _require_starts_near(trajectory: Trajectory, starts: Sequence[tuple[str, Vec
                     f"within {NEAR:g} m, the bound of an observed slot error, of the path's start"
                 )
                 refuse(name, point, f"a point {near}: it is {apart:g} m away")
+
+
+def _require_neighbours_near(offsets: Floats, neighbours: int) -> None:
+    """Refuse formations in which an observed neighbour's slot lies beyond the bound of its position."""
+    observed = min(neighbours, len(offsets) - 1)
+    if observed == 0 or np.linalg.norm(np.ptp(offsets, axis=0)) <= NEAR:
+        return
+    from scipy.spatial import cKDTree
+
+    apart = cKDTree(offsets).query(offsets, k=observed + 1)[0][:, -1]
+    worst = int(np.argmax(apart))
+    expected = (
+        f"an offset within {NEAR:g} m, the bound of an observed neighbour's position, of its "
+        f"{observed} nearest: one is {apart[worst]:.4g} m away; or fewer `neighbours`"
+    )
+    require(bool(apart[worst] <= NEAR), f"offsets[{worst}]", offsets[worst].tolist(), expected)

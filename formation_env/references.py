@@ -9,7 +9,7 @@ A trajectory is a kind and a table of numbers, so that a kernel can evaluate ano
 | `SPLINE`     | `n`, `n + 1` break points, then per piece and axis 8 powers of `t - t_i`  |
 
 Everything is in the inertial frame (north, east, down): metres, seconds, radians; a height of 1.5 m
-is `p_z = -1.5`. The tables are made by `trajectories` and `splines`.
+is `p_z = -1.5`. The tables are made by `trajectories` and `splines` and checked by `tables`.
 """
 
 from __future__ import annotations

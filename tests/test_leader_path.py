@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import warnings
-from math import cos, hypot, pi, sin
+from math import cos, hypot, inf, pi, sin
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from closed_loop import PROPERTY
+from hypothesis import given
+from hypothesis import strategies as st
+from paths import closed_forms, keys, random_ones, sizes
 
 from formation_env import SCENARIOS, FormationConfig, Vehicle, configure, splines, trajectories
 from formation_env.checks import LONGEST
 from formation_env.feasibility import FeasibilityWarning
-from formation_env.leader_path import FlightWarning
+from formation_env.leader_path import FlightWarning, Reach, _bounds, _demands, _plainly_flyable
 from formation_env.quadrotor import GRAVITY
 from formation_env.references import Floats
 from formation_env.task import ANYWHERE, ENTRIES, NEAR, RATE_BOUND, Limits
@@ -21,6 +25,8 @@ from formation_env.trajectories import SINES, Trajectory, circle, line
 
 pytestmark = pytest.mark.filterwarnings("ignore::formation_env.feasibility.FeasibilityWarning")
 
+gaps = st.floats(0.5, 3.0)
+POINTS = np.array([[0.0, 0.0, -1.5], [1.0, 0.5, -2.5], [0.0, 0.0, -1.5]])
 BACK_AND_FORTH = [[0, 0, -1.5], [8, 0, -1.5], [0, 0, -1.5]]
 
 
@@ -84,12 +90,25 @@ def test_the_bounds_are_the_observations() -> None:
             {"follower_starts": ((0, 0, 0), (0, 1500, 0)), "start": "ground"},
             r"follower_starts\[1\] = \(0\.0, 1500\.0, 0\.0\): .*within 1000 m.* it is 1500 m away",
         ),
+        (
+            {"offsets": ((1.0, 900.0, 0.0), (1.0, -900.0, 0.0))},
+            r"offsets\[0\] = \[1\.0, 900\.0, 0\.0\]: .*within 1000 m.*one is 1800 m away; or fewer",
+        ),
     ],
 )
 def test_what_an_observation_would_clip_is_refused(options: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message) as caught:
         configure(**options)
     assert len(str(caught.value)) <= LONGEST
+
+
+def test_only_observed_neighbours_have_to_be_near() -> None:
+    wide = ((1.0, 900.0, 0.0), (1.0, -900.0, 0.0), (1.0, 0.0, 0.0))
+    calm = line((0.5, 0.0))
+    assert configure(offsets=wide, trajectory=calm, neighbours=1).neighbours == 1
+    assert configure(offsets=wide[:2], trajectory=calm, neighbours=0).neighbours == 0
+    with pytest.raises(ValueError, match=r"offsets\[0\] = .*its 2 nearest"):
+        configure(offsets=wide, trajectory=calm, neighbours=2)
 
 
 def test_only_the_configured_duration_counts() -> None:
@@ -116,7 +135,9 @@ def test_the_issues_way_points_are_warned_of() -> None:
 @pytest.mark.parametrize("actuation", ["moment", "rates"])
 def test_a_noisy_log_is_warned_of(noise: float, actuation: str) -> None:
     limit = "moment_max" if actuation == "moment" else "rate_max"
-    with pytest.warns(FlightWarning, match=rf"vehicle\.{limit}.*smooth a measured log") as caught:
+    with pytest.warns(
+        FlightWarning, match=rf"vehicle\.{limit}.*smooth a measured log or give fewer rows"
+    ) as caught:
         configure(trajectory=log(noise), duration=10.0, leader_actuation=actuation)
     assert all(len(str(one.message)) <= LONGEST for one in caught)
 
@@ -184,7 +205,7 @@ def test_the_warning_tells_what_the_leader_can_fly(curve: Trajectory, duration: 
             duration=duration,
             action="reference",
             start_offset=0.0,
-            limits=Limits(collision=1e-3, impact=1.0, tilt=0.5, lost=1e6),
+            limits=Limits(collision=1e-3, impact=1.0, tilt=0.5, lost=1e3),
         )
         apart, crashed = flown(config)
     warned = any(one.category is FlightWarning for one in caught)
@@ -219,8 +240,6 @@ def test_the_readmes_path_does_not_warn() -> None:
 
 def test_the_demands_are_those_of_differentiation() -> None:
     """Of a circle: `|b|` is constant, `r3d` turns at `V / r` about a cone; checked by differences."""
-    from formation_env.leader_path import _demands
-
     curve, lag, h = trajectories.figure_eight((2.0, 1.0), 1.3), 0.05, 1e-3
     times = np.arange(0.0, 10.0, h)
     b = np.array([0.0, 0.0, GRAVITY]) - curve(times)[:, 2]
@@ -237,6 +256,49 @@ def test_the_demands_are_those_of_differentiation() -> None:
     assert steady.acceleration == (pytest.approx(8.0), 0.0)
     still = _demands(trajectories.hover((3.0, cos(1.0), -2.0)), 1e9, lag)
     assert still.thrust.value == GRAVITY and still.position.value == 3.0
+
+
+@PROPERTY
+@given(
+    closed_forms
+    | st.builds(lambda t, s: splines.waypoints([0.0, t, 2.0 * t], s * POINTS), gaps, sizes)
+)
+def test_what_needs_no_look_is_within_bounds(curve: Trajectory) -> None:
+    """The bounds that spare most paths a closer look are never below what the look would find."""
+    duration, lag = min(curve.duration, 20.0), 0.05
+    norms = np.linalg.norm(curve(np.linspace(0.0, duration, 501)), axis=2).max(axis=0)
+    assert (norms <= _bounds(curve, duration) * (1.0 + 1e-9) + 1e-9).all()
+    found = _demands(curve, duration, lag)
+    unlimited = Reach(inf, inf, inf, lag)
+    for limit, peak in (
+        ("thrust", found.thrust),
+        ("turning", found.turning),
+        ("command", found.command),
+    ):
+        if peak.value > 1e-6:
+            short = unlimited._replace(**{limit: 0.999 * peak.value})
+            assert not _plainly_flyable(curve, duration, 0.0, short)
+    falls = found.descent.value >= GRAVITY
+    assert not (falls and _plainly_flyable(curve, duration, 0.0, unlimited))
+
+
+@PROPERTY
+@given(random_ones(), keys, st.floats(1.0, 100.0))
+def test_bounds_of_a_random_trajectory_hold_for_its_draws(
+    curve: Trajectory, key: int, duration: float
+) -> None:
+    motion = curve.drawn(key)(np.linspace(0.0, duration, 501))
+    bounds = _bounds(curve, duration)
+    assert np.abs(motion[:, 0]).max() <= bounds[0] * (1.0 + 1e-9)
+    assert (np.linalg.norm(motion[:, 1:], axis=2).max(axis=0) <= bounds[1:] * (1.0 + 1e-9)).all()
+
+
+def test_most_paths_need_no_look() -> None:
+    reach = Reach(2.0 * GRAVITY, 70.0, 14.0, 0.05)
+    for scenario in SCENARIOS:
+        config = configure(scenario)
+        assert _plainly_flyable(config.trajectory, config.duration, 3.0, reach)
+    assert _plainly_flyable(log(0.0), 10.0, 1.0, reach)
 
 
 def test_the_class_of_the_warning_is_its_own() -> None:
