@@ -57,22 +57,22 @@ VEHICLES = st.builds(
 TRACKERS = st.builds(
     TrackerGains,
     k1=spread(1e-3, 1e3).map(lambda x: min(x, 0.5)),
-    k2=spread(1.0, 1e6),
-    k3=spread(1e-6, 1e6),
-    k4=spread(1e-6, 1e6),
-    kz=spread(1e-6, 1e6),
+    k2=spread(1.0, 1e9),
+    k3=spread(1e-6, 1e9),
+    k4=spread(1e-6, 1e9),
+    kz=spread(1e-6, 1e9),
     sigma_max=spread(1e-6, 5.0),
-    c=spread(2e-6, 1e6),
+    c=spread(2e-6, 1e9),
     p11=spread(1e-3, 1.0),
 )
 PLANNERS = st.builds(
     PlannerGains,
-    k1=spread(1e-6, 1e6),
-    k2=spread(1.001, 1e6),
-    k3=or_zero(1e6),
-    kz1=spread(1e-6, 1e6),
-    kz2=spread(1e-6, 1e6),
-    p_max=spread(1e-6, 1e6),
+    k1=spread(1e-6, 1e9),
+    k2=spread(1.001, 1e9),
+    k3=or_zero(1e9),
+    kz1=spread(1e-6, 1e9),
+    kz2=spread(1e-6, 1e9),
+    p_max=spread(1e-6, 1e9),
     z_max=spread(1e-6, 4.5),
 )
 PATHS = st.sampled_from(

@@ -419,8 +419,8 @@ def test_a_state_of_something_else_is_refused(make: Any) -> None:
         (other.get_state(), "another configuration"),
         (broken, r"state\['keys'\]"),
         (short, r"^state.*tables"),
-        (before.state, "dict"),
-        (None, "NoneType"),
+        (before.state, r"^state = .*: expected what get_state returned$"),
+        (None, r"^state = None: expected what get_state returned$"),
     ):
         with pytest.raises(ValueError, match=message):
             env.set_state(state)

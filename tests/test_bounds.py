@@ -128,7 +128,7 @@ def test_more_substeps_follow_more() -> None:
             {"vehicle": {"thrust_max": 1e9}},
             r"^vehicle\.thrust_max = 1000000000\.0: .* at most 98\.1$",
         ),
-        ({"planner": {"kz1": 1e9}}, r"^planner\.kz1 = 1000000000\.0: .* at most 1e\+06$"),
+        ({"planner": {"kz1": 1e10}}, r"^planner\.kz1 = 10000000000\.0: .* at most 1e\+09$"),
         ({"rates_tracker": {"c": 1e-9}}, r"^rates_tracker\.c = 1e-09: .* above 1e-06"),
         ({"offsets": ((1e-4, 1.0, -0.3),)}, r"^offsets\[0\] = .*0\.001 m at least$"),
         ({"offsets": ((0.5, 2e3, -0.3),)}, r"^offsets\[0\] = \[0\.5, 2000\.0, -0\.3\]: .* 1000$"),
