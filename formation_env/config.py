@@ -23,6 +23,12 @@ from formation_env.feasibility import Feasibility, FeasibilityWarning, check, re
 from formation_env.gains import RATES_GAINS, PlannerGains, TrackerGains
 from formation_env.leader_path import require_flyable
 from formation_env.parts import part, rows
+from formation_env.placement import (
+    check_ground_starts,
+    check_offsets,
+    check_start_offset,
+    judged,
+)
 from formation_env.plain_form import plain
 from formation_env.quadrotor import GRAVITY, MOMENT, RATES
 from formation_env.sensors import Noise
@@ -35,9 +41,6 @@ from formation_env.world import RATE, REFERENCE, WRENCH, Clock, Gusts, Reach, Wo
 
 LEVELS = {"wrench": WRENCH, "rates": RATE, "reference": REFERENCE}
 ACTUATIONS = {"moment": MOMENT, "rates": RATES}
-MAX_FOLLOWERS = 4096
-_RESOLVED = 1000.0  # s
-_NEAREST = 1e-3  # m, least d_x: headings turn at up to V_L / d_x (23)
 
 NO_NOISE = Noise(0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -124,8 +127,7 @@ class FormationConfig:
     def __post_init__(self) -> None:
         self._convert()
         self._check_dynamics()
-        self._check_formation()
-        self._check_starts()
+        self._check_places()
         require_flyable(
             self.trajectory,
             self.duration,
@@ -194,39 +196,10 @@ class FormationConfig:
                 "vanishes",
             )
 
-    def _check_formation(self) -> None:
-        require(
-            self.followers <= MAX_FOLLOWERS,
-            "offsets",
-            self.followers,
-            f"<= {MAX_FOLLOWERS} followers",
-        )
-        for i, d in enumerate(self.offsets):
-            require(
-                d[0] >= _NEAREST,
-                f"offsets[{i}]",
-                d,
-                "d_x > 0: Gamma (14) needs d_x != 0, and with the heading started along the leader's "
-                f"the zero dynamics (26) are stable only for a leader ahead; {_NEAREST:g} m at least",
-            )
-        gap = formations.min_separation(np.array(self.offsets))
-        require(
-            gap > self.limits.collision,
-            "offsets",
-            f"{gap:.3g} m apart",
-            f"vehicles further apart than limits.collision = {self.limits.collision:g} m",
-        )
-        lowest = _lowest(self.trajectory, self.duration)
-        for i, d in enumerate(self.offsets):
-            require(
-                lowest - d[2] < 0.0,
-                f"offsets[{i}]",
-                d,
-                f"a slot above the floor: the leader comes down to p_z = {lowest:.3g} m "
-                "and the slot's height is p_Lz - d_z (32)",
-            )
-
-    def _check_starts(self) -> None:
+    def _check_places(self) -> None:
+        """The formation and the starts."""
+        collision = self.limits.collision
+        check_offsets(self.offsets, self.trajectory, self.duration, collision)
         if self.follower_starts is not None:
             require(
                 len(self.follower_starts) == self.followers,
@@ -235,26 +208,9 @@ class FormationConfig:
                 f"one row for each of the {self.followers} followers",
             )
         if self.start == "ground":
-            points = np.array(self.ground_starts())
-            require(
-                bool((points[:, 2] == 0.0).all()),
-                "follower_starts and leader_start",
-                points[:, 2],
-                "p_z = 0, the floor",
-            )
-            gap = _least_distance(points)
-            name = "follower_starts and leader_start"
+            check_ground_starts(self.ground_starts(), collision)
         else:
-            offsets, r = np.array(self.offsets), self.start_offset
-            to_leader = float(np.linalg.norm(offsets, axis=1).min())
-            gap = min(_least_distance(offsets) - 2.0 * r, to_leader - r)
-            name = "start_offset"
-        require(
-            gap > self.limits.collision,
-            name,
-            self.start_offset if name == "start_offset" else f"{gap:.3g} m apart",
-            f"vehicles that start further apart than limits.collision = {self.limits.collision:g} m",
-        )
+            check_start_offset(self.offsets, self.start_offset, collision)
 
     # -- as JSON ------------------------------------------------------------------------------------
 
@@ -310,7 +266,7 @@ class FormationConfig:
 
     def feasibility(self) -> tuple[Feasibility, ...]:
         """Report on (23)-(30) for every follower along the leader's trajectory."""
-        return _feasibility(self.offsets, self.trajectory, _judged(self.trajectory, self.duration))
+        return _feasibility(self.offsets, self.trajectory, judged(self.trajectory, self.duration))
 
     def ground_starts(self) -> tuple[Vector, ...]:
         """Where the leader and the followers stand at the start on the ground, leader first."""
@@ -360,18 +316,17 @@ class FormationConfig:
         return Gusts(keep, self.gust * sqrt(1.0 - keep * keep))
 
 
-def quietly(make: Callable[..., FormationConfig], *args: Any, **given: Any) -> FormationConfig:
-    """What `make` makes, without the warning that only the sufficient bound (29)-(30) fails."""
+def quietly(
+    make: Callable[..., FormationConfig],
+    *args: Any,
+    silent: tuple[type[Warning], ...] = (FeasibilityWarning,),
+    **given: Any,
+) -> FormationConfig:
+    """What `make` makes, without warnings of some kinds: that only the bound (29)-(30) fails."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FeasibilityWarning)
+        for kind in silent:
+            warnings.simplefilter("ignore", kind)
         return make(*args, **given)
-
-
-def _judged(trajectory: Trajectory, duration: float) -> float:
-    """Seconds of the path that are looked at, s: of one without an end that repeats itself, no more
-    than are resolved. A billion seconds in steps of hours would show inversions that there are not.
-    """
-    return min(duration, _RESOLVED) if trajectory.duration == inf else duration
 
 
 @lru_cache(maxsize=64)
@@ -379,22 +334,3 @@ def _feasibility(
     offsets: tuple[Vector, ...], trajectory: Trajectory, duration: float
 ) -> tuple[Feasibility, ...]:
     return check(np.array(offsets), trajectory, duration)
-
-
-@lru_cache(maxsize=64)
-def _lowest(trajectory: Trajectory, duration: float) -> float:
-    """Largest `p_z` (lowest point) of the reference, m; the floor is 0."""
-    if trajectory.random is not None:
-        return -trajectory.random.height + trajectory.random.climb
-    span = _judged(trajectory, min(duration, trajectory.duration))
-    times = np.linspace(0.0, span, max(501, ceil(span / 0.04) + 1))
-    return float(trajectory(times)[:, 0, 2].max())
-
-
-def _least_distance(points: Any) -> float:
-    """Least distance between two of `points`, `(N, 3)`."""
-    if len(points) < 2:
-        return inf
-    from scipy.spatial import cKDTree
-
-    return float(cKDTree(points).query(points, k=2)[0][:, 1].min())

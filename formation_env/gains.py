@@ -10,7 +10,7 @@ from formation_env.checks import number, require
 from formation_env.planner import PlannerLaw
 from formation_env.tracker import TrackerLaw
 
-MOST = 1e6  # of any gain: products of several stay far inside the floating-point range
+MOST = 1e9  # of any gain: products of several stay far inside the floating-point range
 
 
 @final
@@ -20,7 +20,7 @@ class PlannerGains:
 
     Raises `ValueError` naming the gain unless the conditions of theorem 1 hold: `k1 > 0`, `k2 > 1`,
     `k3 >= 0` (the paper's simulations use 0, which switches the integral action off), and
-    `k_z1, k_z2, p_max, z_max > 0`; none above 1e6. The paper does not print `z_max`.
+    `k_z1, k_z2, p_max, z_max > 0`; none above 1e9. The paper does not print `z_max`.
     """
 
     k1: float = 0.2  # 1/s
@@ -49,7 +49,7 @@ class TrackerGains:
     `p12` and `p22` default to what makes `Q` positive definite (59): `p22 = k1`,
     `p12 = p11 k1 / k2`. Raises `ValueError` naming the condition unless
 
-    - every gain is positive (`c > 1e-6`) and none above 1e6;
+    - every gain is positive (`c > 1e-6`) and none above 1e9;
     - `p12^2 < p11 p22`, so `P` (56) is positive definite;
     - `Q` (57)-(59) is positive definite for every slope `sigma'` in `(0, sigma_max / sqrt(c)]`, which
       needs `k1 = p22` (as the slope goes to zero) and

@@ -20,9 +20,10 @@ import numpy as np
 
 from formation_env import formations
 from formation_env.checks import integer, refuse, require, unexpected_keyword
-from formation_env.config import MAX_FOLLOWERS, PARTS, FormationConfig, quietly
-from formation_env.feasibility import require_feasible
+from formation_env.config import PARTS, FormationConfig, quietly
+from formation_env.feasibility import FeasibilityWarning, require_feasible
 from formation_env.gains import PlannerGains
+from formation_env.leader_path import FlightWarning
 from formation_env.parts import part, rows
 from formation_env.sensors import Noise
 from formation_env.so3 import Vector
@@ -163,7 +164,11 @@ def configure(
         overrides = _merged(scenario, overrides)
         if {"offsets", "trajectory"} & set(overrides):
             return replace(scenario, **overrides)
-        return quietly(replace, scenario, **overrides)  # it warned when it was made
+        silent: tuple[type[Warning], ...] = (FeasibilityWarning, FlightWarning)
+        if {"duration", "vehicle", "leader_actuation"} & set(overrides):
+            silent = (FeasibilityWarning,)
+        # Nothing of what it warned of when it was made has changed.
+        return quietly(replace, scenario, silent=silent, **overrides)
     named = isinstance(scenario, str) and scenario in SCENARIOS
     require(named, "scenario", scenario, "one of " + ", ".join(map(repr, SCENARIOS)))
     return _named(scenario, followers, overrides)
@@ -173,7 +178,7 @@ def _named(scenario: str, followers: int | None, overrides: dict[str, Any]) -> F
     """A named scenario with some of its fields overridden."""
     arguments = []
     if followers is not None:
-        arguments.append(integer("followers", followers, 1, MAX_FOLLOWERS))
+        arguments.append(integer("followers", followers, 1, formations.MAX_FOLLOWERS))
         if "offsets" in overrides:
             raise ValueError("followers and offsets given: expected one of them")
     if "offsets" in overrides:  # the scenario's own starts belong to its own formation

@@ -22,6 +22,7 @@ from formation_env import (
     formations,
     trajectories,
 )
+from formation_env.leader_path import FlightWarning
 
 
 def spread(low: float, high: float) -> st.SearchStrategy[float]:
@@ -56,22 +57,22 @@ VEHICLES = st.builds(
 TRACKERS = st.builds(
     TrackerGains,
     k1=spread(1e-3, 1e3).map(lambda x: min(x, 0.5)),
-    k2=spread(1.0, 1e6),
-    k3=spread(1e-6, 1e6),
-    k4=spread(1e-6, 1e6),
-    kz=spread(1e-6, 1e6),
+    k2=spread(1.0, 1e9),
+    k3=spread(1e-6, 1e9),
+    k4=spread(1e-6, 1e9),
+    kz=spread(1e-6, 1e9),
     sigma_max=spread(1e-6, 5.0),
-    c=spread(2e-6, 1e6),
+    c=spread(2e-6, 1e9),
     p11=spread(1e-3, 1.0),
 )
 PLANNERS = st.builds(
     PlannerGains,
-    k1=spread(1e-6, 1e6),
-    k2=spread(1.001, 1e6),
-    k3=or_zero(1e6),
-    kz1=spread(1e-6, 1e6),
-    kz2=spread(1e-6, 1e6),
-    p_max=spread(1e-6, 1e6),
+    k1=spread(1e-6, 1e9),
+    k2=spread(1.001, 1e9),
+    k3=or_zero(1e9),
+    kz1=spread(1e-6, 1e9),
+    kz2=spread(1e-6, 1e9),
+    p_max=spread(1e-6, 1e9),
     z_max=spread(1e-6, 4.5),
 )
 PATHS = st.sampled_from(
@@ -134,6 +135,7 @@ def accepted(scenario: str, options: dict[str, Any]) -> FormationConfig:
     """The configuration; the draw is given up where it is refused."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FeasibilityWarning)
+        warnings.simplefilter("ignore", FlightWarning)
         try:
             return configure(scenario, **options)
         except ValueError:

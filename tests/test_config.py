@@ -19,6 +19,7 @@ from formation_env import (
     memory,
     trajectories,
 )
+from formation_env.leader_path import FlightWarning
 from formation_env.trajectories import circle
 
 
@@ -149,6 +150,16 @@ def test_nobody_shares_a_default() -> None:
     config = FormationConfig(offsets=offsets)  # type: ignore[arg-type]
     offsets[0][0] = 9.0
     assert config.offsets == ((0.3, 0.0, -0.3),)
+
+
+def test_a_configuration_warns_when_it_is_made_and_not_again() -> None:
+    """By another field that neither the path nor the vehicle has to do with."""
+    weak = {"moment_max": (1e-6, 1e-6, 1e-6)}
+    with pytest.warns(FlightWarning, match=r"cannot fly trajectory 'figure-eight'"):
+        config = configure(vehicle=weak)
+    assert configure(config, substeps=5).substeps == 5  # warnings are errors
+    with pytest.warns(FlightWarning, match=r"cannot fly"):
+        configure(config, duration=10.0)
 
 
 # -- towards the kernels --------------------------------------------------------------------------------

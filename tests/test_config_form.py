@@ -30,6 +30,7 @@ from formation_env import (
     trajectories,
 )
 from formation_env.gains import RATES_GAINS
+from formation_env.leader_path import FlightWarning
 from formation_env.plain_form import plain
 
 
@@ -40,6 +41,7 @@ def through_json(value: Any) -> Any:
 def quietly(make: Callable[..., FormationConfig], *args: Any, **given: Any) -> FormationConfig:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FeasibilityWarning)
+        warnings.simplefilter("ignore", FlightWarning)
         return make(*args, **given)
 
 

@@ -17,7 +17,7 @@ from scipy.spatial.distance import pdist
 
 from formation_env import feasibility, formations, slots, trajectories
 from formation_env.checks import LONGEST
-from formation_env.config import MAX_FOLLOWERS
+from formation_env.placement import MAX_FOLLOWERS
 from formation_env.references import Floats
 
 counts = st.integers(1, 256)
