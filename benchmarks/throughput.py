@@ -25,7 +25,8 @@ import numpy as np
 import formation_env
 from baselines import console
 from benchmarks import grid, report, single, startup
-from formation_env.config import LEVELS, MAX_FOLLOWERS
+from formation_env.config import LEVELS
+from formation_env.formations import MAX_FOLLOWERS
 
 Figures = dict[str, Any]
 Say = Callable[[str], None]

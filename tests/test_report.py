@@ -120,7 +120,7 @@ def test_the_table_fits_the_terminal(short_report: Report, columns: int) -> None
     assert max(map(len, text.splitlines())) <= columns
     assert text.count("1.000") == len(names)
     assert len(text.splitlines()) < 100
-    assert "* trained on another scenario" in text
+    assert "* trained for another task" in text
 
 
 def test_the_table_has_scores_and_failures(short_report: Report) -> None:
