@@ -35,10 +35,14 @@ def shown(value: object) -> str:
     return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 4]} ..."
 
 
+def shortened(message: str) -> str:
+    """`message`, cut to `LONGEST` characters."""
+    return message if len(message) <= LONGEST else f"{message[: LONGEST - 4]} ..."
+
+
 def refuse(name: str, value: object, expected: str) -> NoReturn:
     """Raise the `ValueError` that names an argument, its value and what was expected."""
-    message = f"{name} = {shown(value)}: expected {expected}"
-    raise ValueError(message if len(message) <= LONGEST else f"{message[: LONGEST - 4]} ...")
+    raise ValueError(shortened(f"{name} = {shown(value)}: expected {expected}"))
 
 
 def require(condition: bool, name: str, value: object, expected: str) -> None:
@@ -50,8 +54,7 @@ def require(condition: bool, name: str, value: object, expected: str) -> None:
 def unexpected_keyword(function: str, name: str, known: Iterable[str]) -> TypeError:
     """The error that Python itself raises for an unknown keyword, with the known ones after it."""
     message = f"{function}() got an unexpected keyword argument {name!r}: known are "
-    message += ", ".join(known)
-    return TypeError(message if len(message) <= LONGEST else f"{message[: LONGEST - 4]} ...")
+    return TypeError(shortened(message + ", ".join(known)))
 
 
 def number(
@@ -91,7 +94,7 @@ def choice(name: str, value: Any, allowed: Iterable[str]) -> str:
 def array(
     name: str,
     value: Any,
-    shape: tuple[int | None, ...],
+    shape: tuple[int | None, ...] | None,
     low: float = -inf,
     high: float = inf,
     *,
@@ -99,15 +102,11 @@ def array(
 ) -> NDArray[np.float64]:
     """`value` as a new float64 array of finite numbers within bounds, as `number` has them.
 
-    `shape` has None where any length from 1 is allowed. An entry that is refused is named with its
-    index, in a table with that of its row: `points[4000] = [0.0, nan, -1.0]: expected ...`.
+    `shape` has None where any length from 1 is allowed, and is None where any shape is. An entry that
+    is refused is named with its index, in a table with that of its row:
+    `points[4000] = [0.0, nan, -1.0]: expected ...`.
     """
-    lengths = ", ".join("any" if n is None else str(n) for n in shape)
-    expected = f"finite numbers of shape ({lengths}{',' if len(shape) == 1 else ''})"
-    if len(shape) == 1 and shape[0] is not None:
-        expected = f"{shape[0]} finite numbers"
-    elif len(shape) == 2 and shape[0] is None:
-        expected = f"rows of {shape[1]} finite numbers"
+    expected = _shaped(shape)
     numbers = _floats(value)
     if numbers is None:
         index = _first_not_real(value)
@@ -115,8 +114,9 @@ def array(
         for i in index[:1]:
             found, name = found[i], f"{name}[{i}]"
         refuse(name, found, expected)
-    fits = numbers.ndim == len(shape) and all(
-        len_ > 0 if n is None else len_ == n for len_, n in zip(numbers.shape, shape, strict=True)
+    fits = shape is None or (
+        numbers.ndim == len(shape)
+        and all(x > 0 if n is None else x == n for x, n in zip(numbers.shape, shape, strict=True))
     )
     if not fits:
         found = value if numbers.size <= 8 else f"numbers of shape {numbers.shape}"
@@ -136,6 +136,18 @@ def vector(
 ) -> NDArray[np.float64]:
     """`value` as `size` finite numbers within bounds: `array` of one axis."""
     return array(name, value, (size,), low, high, strict=strict)
+
+
+def _shaped(shape: tuple[int | None, ...] | None) -> str:
+    """What an array of some shape consists of, in words."""
+    if shape is None:
+        return "finite numbers"
+    if len(shape) == 1 and shape[0] is not None:
+        return f"{shape[0]} finite numbers"
+    if len(shape) == 2 and shape[0] is None:
+        return f"rows of {shape[1]} finite numbers"
+    lengths = ", ".join("any" if n is None else str(n) for n in shape)
+    return f"finite numbers of shape ({lengths}{',' if len(shape) == 1 else ''})"
 
 
 def _limits(low: float, high: float, strict: bool) -> str:

@@ -7,43 +7,70 @@ naming the field, its value and the paper's condition.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
-from math import ceil, exp, inf, isclose, sqrt
+from math import ceil, exp, inf, sqrt
 from typing import Any, final
 
 import numpy as np
 
 from formation_env import formations
-from formation_env.checks import integer, number, require
-from formation_env.feasibility import Feasibility, check, require_feasible
+from formation_env.bounds import check_clock, check_moments, check_rate_loop
+from formation_env.checks import choice, integer, number, refuse, require
+from formation_env.feasibility import Feasibility, FeasibilityWarning, check, require_feasible
 from formation_env.gains import RATES_GAINS, PlannerGains, TrackerGains
+from formation_env.parts import part, rows
+from formation_env.plain_form import plain
 from formation_env.quadrotor import GRAVITY, MOMENT, RATES
 from formation_env.sensors import Noise
 from formation_env.slots import out_of_frame
 from formation_env.so3 import Vector
-from formation_env.task import Layout, Limits, Rewards
-from formation_env.trajectories import Trajectory, figure_eight, path_start
+from formation_env.task import ANYWHERE, NEAR, RATE_BOUND, Layout, Limits, Rewards
+from formation_env.trajectories import Trajectory, as_trajectory, figure_eight, path_start
 from formation_env.vehicle import Vehicle, vector3
 from formation_env.world import RATE, REFERENCE, WRENCH, Clock, Gusts, Reach, World
 
 LEVELS = {"wrench": WRENCH, "rates": RATE, "reference": REFERENCE}
 ACTUATIONS = {"moment": MOMENT, "rates": RATES}
-STARTS = ("formation", "ground")
 MAX_FOLLOWERS = 4096
+_NEAREST = 1e-3  # m, least d_x: headings turn at up to V_L / d_x (23)
 
 NO_NOISE = Noise(0.0, 0.0, 0.0, 0.0, 0.0)
 
-
-def rows(name: str, value: Any) -> tuple[Vector, ...]:
-    """`value` as rows of three finite numbers."""
-    try:
-        table = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} = {value!r}: expected rows of 3 numbers") from None
-    if table.ndim != 2 or table.shape[1] != 3 or len(table) == 0 or not np.isfinite(table).all():
-        raise ValueError(f"{name} = {value!r}: expected (followers, 3) finite numbers")
-    return tuple((float(a), float(b), float(c)) for a, b, c in table)
+# Fields that are objects, with their defaults: what a dictionary of some of their fields leaves out.
+PARTS: dict[str, Any] = {
+    "noise": NO_NOISE,
+    "vehicle": Vehicle(),
+    "planner": PlannerGains(),
+    "tracker": TrackerGains(),
+    "rates_tracker": RATES_GAINS,
+    "reward": Rewards(scale=0.3, effort=0.05, smoothness=0.05, failure=10.0),
+    "limits": Limits(collision=0.2, impact=1.0, tilt=0.5, lost=10.0),
+}
+_CHOICES = {
+    "action": tuple(LEVELS),
+    "start": ("formation", "ground"),
+    "estimator": ("direct", "differenced"),
+    "leader_actuation": tuple(ACTUATIONS),
+    "reference_actuation": tuple(ACTUATIONS),
+}
+# Low, high, and whether `low` itself is excluded.
+_NUMBERS = {
+    "start_offset": (0.0, NEAR, False),
+    "trigger": (0.0, ANYWHERE, True),
+    "control_period": (0.0, 10.0, True),
+    "duration": (0.0, inf, True),
+    "gust": (0.0, RATE_BOUND, False),
+    "gust_time": (0.0, inf, True),
+}
+_COUNTS = {
+    "substeps": (1, 1000),
+    "measurement_delay": (0, 1000),
+    "window": (1, 10000),
+    "neighbours": (0, 64),
+}
 
 
 @final
@@ -55,6 +82,11 @@ class FormationConfig:
     `configure` (or `gym.make`'s keywords), which starts from a scenario. Raises `ValueError` naming
     the field where a value is impossible; warns with `FeasibilityWarning` where only the sufficient
     bound (29)-(30) against an inversion of a virtual follower fails.
+
+    Every field also takes its JSON form (`to_dict`): lists, numbers, names and dictionaries. A
+    dictionary may leave out fields of a part: `noise={"position": 0.1}` is the default with another
+    position noise, and for `configure` the scenario's. What is stored is what was checked: plain
+    `float` and `int`, tuples, and the parts as objects.
     """
 
     scenario: str = "nominal"
@@ -76,25 +108,69 @@ class FormationConfig:
     noise: Noise = NO_NOISE
     gust: float = 0.0  # m/s^2, standard deviation of a random push on every vehicle
     gust_time: float = 1.0  # s, its correlation time
-    vehicle: Vehicle = field(default_factory=Vehicle)
+    vehicle: Vehicle = PARTS["vehicle"]
     leader_actuation: str = "moment"
     reference_actuation: str = "moment"  # what flies a follower at action="reference"
     reference_max: Vector = (4.0, 4.0, 4.0)  # m/s^2 at action +-1
-    planner: PlannerGains = field(default_factory=PlannerGains)
-    tracker: TrackerGains = field(default_factory=TrackerGains)  # vehicles driven by moments
+    planner: PlannerGains = PARTS["planner"]
+    tracker: TrackerGains = PARTS["tracker"]  # vehicles driven by moments
     rates_tracker: TrackerGains = RATES_GAINS  # vehicles driven by rates
-    reward: Rewards = Rewards(scale=0.3, effort=0.05, smoothness=0.05, failure=10.0)
-    limits: Limits = Limits(collision=0.2, impact=1.0, tilt=0.5, lost=10.0)
+    reward: Rewards = PARTS["reward"]
+    limits: Limits = PARTS["limits"]
     neighbours: int = 2
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "offsets", rows("offsets", self.offsets))
-        object.__setattr__(self, "reference_max", vector3("reference_max", self.reference_max, 0.0))
-        self._check_choices()
-        self._check_numbers()
-        self._check_clock()
+        self._convert()
+        self._check_dynamics()
         self._check_formation()
         self._check_starts()
+        require_feasible(self.feasibility())
+
+    def _store(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)
+
+    def _convert(self) -> None:
+        """Every field as what it is to be, or refused by itself."""
+        require(isinstance(self.scenario, str), "scenario", self.scenario, "a name")
+        self._store("trajectory", as_trajectory("trajectory", self.trajectory))
+        self._store("offsets", rows("offsets", self.offsets, NEAR))
+        limit = vector3("reference_max", self.reference_max, 0.0, RATE_BOUND)
+        self._store("reference_max", limit)
+        for name, names in _CHOICES.items():
+            self._store(name, choice(name, getattr(self, name), names))
+        for name, (low, high, strict) in _NUMBERS.items():
+            self._store(name, number(name, getattr(self, name), low, high, strict=strict))
+        for name, (least, most) in _COUNTS.items():
+            self._store(name, integer(name, getattr(self, name), least, most))
+        for name, default in PARTS.items():
+            self._store(name, part(name, getattr(self, name), default))
+        if self.measurement_period is not None:
+            period = number("measurement_period", self.measurement_period, 0.0)
+            self._store("measurement_period", period)
+        if self.leader_start is not None:
+            start = vector3("leader_start", self.leader_start, -ANYWHERE, ANYWHERE, strict=False)
+            self._store("leader_start", start)
+        if self.follower_starts is not None:
+            starts = rows("follower_starts", self.follower_starts, ANYWHERE)
+            self._store("follower_starts", starts)
+
+    # -- checks -----------------------------------------------------------------------------------
+
+    def _check_dynamics(self) -> None:
+        """The clock, what a substep can follow of the vehicles, and the bound (53)."""
+        period, substep = self.control_period, self.control_period / self.substeps
+        check_clock(period, self.substeps, self.measurement_period, self.duration)
+        require(
+            self.duration <= self.trajectory.duration * (1.0 + 1e-9),
+            "duration",
+            self.duration,
+            f"at most the trajectory's {self.trajectory.duration:g} s",
+        )
+        turned_by = {self.follower_actuation, ACTUATIONS[self.leader_actuation]}
+        if RATES in turned_by:
+            check_rate_loop(self.vehicle, substep)
+        if MOMENT in turned_by:
+            check_moments(self.vehicle, period, substep)
         bound = GRAVITY - max(self.planner.z_max, self.reference_max[2])
         for name in ("tracker", "rates_tracker"):
             sigma_max = getattr(self, name).sigma_max
@@ -105,77 +181,6 @@ class FormationConfig:
                 f"sigma_max < g - z_max = {bound:g} m/s^2 (53), so that the desired thrust never "
                 "vanishes",
             )
-        require_feasible(self.feasibility())
-
-    # -- checks -----------------------------------------------------------------------------------
-
-    def _check_choices(self) -> None:
-        choices: tuple[tuple[str, Any], ...] = (
-            ("action", LEVELS),
-            ("start", STARTS),
-            ("estimator", ("direct", "differenced")),
-            ("leader_actuation", ACTUATIONS),
-            ("reference_actuation", ACTUATIONS),
-        )
-        for name, allowed in choices:
-            value = getattr(self, name)
-            known = isinstance(value, str) and value in allowed
-            require(known, name, value, "one of " + ", ".join(map(repr, allowed)))
-        kinds = (
-            ("trajectory", Trajectory),
-            ("noise", Noise),
-            ("vehicle", Vehicle),
-            ("planner", PlannerGains),
-            ("tracker", TrackerGains),
-            ("rates_tracker", TrackerGains),
-            ("reward", Rewards),
-            ("limits", Limits),
-        )
-        for name, kind in kinds:
-            value = getattr(self, name)
-            require(isinstance(value, kind), name, value, f"a {kind.__name__}")
-
-    def _check_numbers(self) -> None:
-        for name in ("trigger", "control_period", "duration", "gust_time"):
-            number(name, getattr(self, name), 0.0)
-        for name in ("start_offset", "gust"):
-            number(name, getattr(self, name), 0.0, strict=False)
-        for group in ("noise", "reward"):
-            values = getattr(self, group)
-            for name in values._fields:
-                strict = name == "scale"
-                number(f"{group}.{name}", getattr(values, name), 0.0, strict=strict)
-        for name in ("collision", "impact", "lost"):
-            number(f"limits.{name}", getattr(self.limits, name), 0.0)
-        number("limits.tilt", self.limits.tilt, -1.0, strict=False)
-        integer("substeps", self.substeps, 1, 1000)
-        integer("measurement_delay", self.measurement_delay, 0, 1000)
-        integer("window", self.window, 1, 10000)
-        integer("neighbours", self.neighbours, 0, 64)
-
-    def _check_clock(self) -> None:
-        substep = self.control_period / self.substeps
-        if self.measurement_period is not None:
-            number("measurement_period", self.measurement_period, 0.0)
-            steps = self.measurement_period / substep
-            require(
-                round(steps) >= 1 and isclose(steps, round(steps), rel_tol=1e-6),
-                "measurement_period",
-                self.measurement_period,
-                f"a whole number of substeps of control_period / substeps = {substep:g} s",
-            )
-        require(
-            self.duration >= 0.999 * self.control_period,
-            "duration",
-            self.duration,
-            f"at least one control_period = {self.control_period:g} s",
-        )
-        require(
-            self.duration <= self.trajectory.duration * (1.0 + 1e-9),
-            "duration",
-            self.duration,
-            f"at most the trajectory's {self.trajectory.duration:g} s",
-        )
 
     def _check_formation(self) -> None:
         require(
@@ -186,13 +191,12 @@ class FormationConfig:
         )
         for i, d in enumerate(self.offsets):
             require(
-                d[0] > 0.0,
+                d[0] >= _NEAREST,
                 f"offsets[{i}]",
                 d,
                 "d_x > 0: Gamma (14) needs d_x != 0, and with the heading started along the leader's "
-                "the zero dynamics (26) are stable only for a leader ahead",
+                f"the zero dynamics (26) are stable only for a leader ahead; {_NEAREST:g} m at least",
             )
-            require(max(map(abs, d)) <= 1e3, f"offsets[{i}]", d, "components of at most 1000 m")
         gap = formations.min_separation(np.array(self.offsets))
         require(
             gap > self.limits.collision,
@@ -211,15 +215,11 @@ class FormationConfig:
             )
 
     def _check_starts(self) -> None:
-        if self.leader_start is not None:
-            object.__setattr__(self, "leader_start", vector3("leader_start", self.leader_start))
         if self.follower_starts is not None:
-            starts = rows("follower_starts", self.follower_starts)
-            object.__setattr__(self, "follower_starts", starts)
             require(
-                len(starts) == self.followers,
+                len(self.follower_starts) == self.followers,
                 "follower_starts",
-                f"{len(starts)} rows",
+                f"{len(self.follower_starts)} rows",
                 f"one row for each of the {self.followers} followers",
             )
         if self.start == "ground":
@@ -227,7 +227,7 @@ class FormationConfig:
             require(
                 bool((points[:, 2] == 0.0).all()),
                 "follower_starts and leader_start",
-                points[:, 2].tolist(),
+                points[:, 2],
                 "p_z = 0, the floor",
             )
             gap = _least_distance(points)
@@ -243,6 +243,29 @@ class FormationConfig:
             self.start_offset if name == "start_offset" else f"{gap:.3g} m apart",
             f"vehicles that start further apart than limits.collision = {self.limits.collision:g} m",
         )
+
+    # -- as JSON ------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        """All fields in their JSON form (`plain_form`), for `json.dumps` and `from_dict`."""
+        return {f.name: plain(getattr(self, f.name), f.name) for f in fields(self)}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> FormationConfig:
+        """The configuration of a dictionary as `to_dict` gives it; equal to the one it was made of.
+
+        As in `FormationConfig(**data)` a field that is missing has its default; for the values of a
+        scenario give the dictionary to `configure`. Raises `ValueError` naming an unknown field, or
+        one whose value is impossible; warns only where a virtual follower really inverts.
+        """
+        known = [f.name for f in fields(cls)]
+        require(isinstance(data, Mapping), "data", data, "a dictionary of a configuration's fields")
+        for name in data:
+            if name not in known:
+                refuse(f"data[{name!r}]", data[name], f"only fields: {', '.join(known)}")
+        config = quietly(cls, **data)
+        require_feasible(report for report in config.feasibility() if report.inverts)
+        return config
 
     # -- what follows from the fields ---------------------------------------------------------------
 
@@ -275,7 +298,7 @@ class FormationConfig:
 
     def feasibility(self) -> tuple[Feasibility, ...]:
         """Report on (23)-(30) for every follower along the leader's trajectory."""
-        return _feasibility(self.offsets, self.trajectory, float(self.duration))
+        return _feasibility(self.offsets, self.trajectory, self.duration)
 
     def ground_starts(self) -> tuple[Vector, ...]:
         """Where the leader and the followers stand at the start on the ground, leader first."""
@@ -297,7 +320,7 @@ class FormationConfig:
             vehicle.airframe(),
             self.tracker.law(),
             self.rates_tracker.law(),
-            Noise(*map(float, self.noise)),
+            self.noise,
             self._clock(),
             Reach(
                 vehicle.full_thrust,
@@ -308,9 +331,9 @@ class FormationConfig:
             ACTUATIONS[self.leader_actuation],
             self.follower_actuation,
             LEVELS[self.action],
-            float(self.trigger),
+            self.trigger,
             int(self.start == "ground"),
-            float(self.start_offset),
+            self.start_offset,
         )
 
     def _clock(self) -> Clock:
@@ -318,11 +341,18 @@ class FormationConfig:
         measured = period if self.measurement_period is None else self.measurement_period
         window = self.window if self.estimator == "differenced" else 0
         every = round(measured / (period / self.substeps))
-        return Clock(period, int(self.substeps), every, int(self.measurement_delay), window)
+        return Clock(period, self.substeps, every, self.measurement_delay, window)
 
     def _gusts(self) -> Gusts:
         keep = exp(-self.control_period / self.gust_time)
         return Gusts(keep, self.gust * sqrt(1.0 - keep * keep))
+
+
+def quietly(make: Callable[..., FormationConfig], *args: Any, **given: Any) -> FormationConfig:
+    """What `make` makes, without the warning that only the sufficient bound (29)-(30) fails."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FeasibilityWarning)
+        return make(*args, **given)
 
 
 @lru_cache(maxsize=64)

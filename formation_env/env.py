@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, final
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from formation_env import faces
+from formation_env import faces, specs
+from formation_env.arguments import Fixed, check_options, configured, whole_seed
 from formation_env.config import FormationConfig
-from formation_env.scenarios import configure
 from formation_env.simulation import Simulation, Snapshot, stream_key
 
 Observation = NDArray[np.float32]
 
 
 @final
-class FormationEnv(gym.Env[Observation, NDArray[np.float32]]):
+class FormationEnv(Fixed, gym.Env[Observation, NDArray[np.float32]]):
     """Quadrotors that keep a formation behind a leader whose trajectory they do not know.
 
     ## Description
@@ -79,14 +81,17 @@ class FormationEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     ## Rewards
 
-    The mean over followers of the sum of named terms, all in `info["reward_terms"]`:
+    The mean over followers of the sum of four terms, each an entry of `info`:
 
-    | term | value per tick | default weight |
+    | entry of `info` | value per tick | default weight |
     |---|---|---|
-    | `formation` | `1 / (1 + (e / scale)^2)`, `e` the true distance to the slot | scale 0.3 m |
-    | `effort` | `-w` times the mean squared action | 0.05 |
-    | `smoothness` | `-w` times the mean squared change of action | 0.05 |
-    | `failure` | `-w` once, to the follower that failed | 10 |
+    | `reward_formation` | `1 / (1 + (e / scale)^2)`, `e` the true distance to the slot | scale 0.3 m |
+    | `reward_effort` | `-w` times the mean squared action | 0.05 |
+    | `reward_smoothness` | `-w` times the mean squared change of action | 0.05 |
+    | `reward_failure` | `-w` once, to the follower that failed | 10 |
+
+    A tick earns at most 1, so an episode's return is at most its number of ticks: 1000 in `nominal`
+    (20 s at 0.02 s), and less in practice, since following the leader costs some effort.
 
     ## Starting State
 
@@ -99,25 +104,43 @@ class FormationEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     Terminates when a follower collides (two vehicles closer than 0.2 m), hits the floor faster than
     1 m/s or more than 60 degrees from level, or is lost (more than 10 m from its slot);
-    `info["failure"]` says which. Truncates after `duration` (20 s; 40 s in `paper` and `experiment`).
+    `info["failure"]` says which. A leader that crashes, on a path that it cannot fly, ends the episode
+    as well. Truncates after `duration` (20 s; 40 s in `paper` and `experiment`), or earlier where
+    `gym.make` is given `max_episode_steps`; `spec.max_episode_steps` says what holds.
 
     ## Arguments
 
     `scenario`: `"nominal"`, `"paper"`, `"experiment"`, `"agile"`, `"swarm"` (see
-    `formation_env.scenarios`), or a `FormationConfig`. `followers`: re-forms a named scenario with
+    `formation_env.scenarios`), a `FormationConfig`, or a dictionary of one. `followers`: re-forms a named scenario with
     that many. `render_mode`: `"human"`, `"rgb_array"` (needs the extra `render`) or None. Every field
     of `FormationConfig` is a keyword: `offsets`, `trajectory`, `action`, `start`, `noise`, `vehicle`,
     `planner`, `tracker`, `reward`, `limits`, `duration`, `control_period`, `substeps`, ...
 
         gym.make("Formation-v0", scenario="paper", action="rates", followers=3)
 
-    Raises `ValueError` naming the field where a value is impossible.
+    Raises `ValueError` naming the field where a value is impossible, `TypeError` for an unknown keyword.
+    `config` holds what came of it and is fixed, as `render_mode` is.
+
+    `reset(seed=...)` takes a whole number from 0. `reset(options=...)` knows no options and refuses any;
+    the vector environment knows `reset_mask`, PettingZoo's none.
+
+    ## Determinism
+
+    The same seed and actions give the same numbers, bit for bit, on every face and with any number of
+    worlds and threads. It is not promised that another processor gives the same last bits, nor plain Python
+    (`NUMBA_DISABLE_JIT=1`), whose observations can differ from the compiled ones in the last bit.
 
     ## Info
 
-    `slots` and `slot_error` `(followers, 3)` (m, inertial, true), `separation` `(followers,)` (m, to
-    the nearest other vehicle), `failure` `(followers,)` (index into `task.FAILURES`),
-    `reward_terms` (a dictionary of `(followers,)` arrays).
+    Arrays, none nested, of the true state after the step:
+
+    | entry | shape | unit | meaning |
+    |---|---|---|---|
+    | `slots` | `(followers, 3)` | m, inertial | where each follower should be |
+    | `slot_error` | `(followers, 3)` | m, inertial | slot minus position |
+    | `separation` | `(followers,)` | m | distance to the nearest other vehicle |
+    | `failure` | `(followers,)` | - | int64, an index into `task.FAILURES`: 0 none, 1 collision, 2 impact, 3 lost, 4 the leader crashed |
+    | `reward_formation`, `reward_effort`, `reward_smoothness`, `reward_failure` | `(followers,)` | 1 | the terms of the reward, see Rewards |
 
     ## Version History
 
@@ -129,30 +152,39 @@ class FormationEnv(gym.Env[Observation, NDArray[np.float32]]):
         "render_fps": 50,
     }
 
+    _fixed = frozenset({"config", "render_mode"})
+
     def __init__(
         self,
-        scenario: str | FormationConfig = "nominal",
+        scenario: str | FormationConfig | Mapping[str, Any] = "nominal",
         *,
         followers: int | None = None,
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
         self._screen = faces.Screen(render_mode)
-        self.config = configure(scenario, followers=followers, **options)
+        self.config = configured(
+            type(self).__name__, ("render_mode",), scenario, followers, options
+        )
         self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": round(1.0 / self.config.control_period)}
+        self.metadata = {**self.metadata, "render_fps": faces.fps(self.config)}
         self.observation_space = faces.observation_space(self.config, self.config.followers)
         self.action_space = faces.action_space(self.config, self.config.followers)
         n, k = self.config.followers, self.config.action_size
         self._flat, self._rows = (n * k,), (1, n, k)  # shapes of an action here and in a world
         self._simulation = Simulation(self.config)
         self._keyed_by: np.random.Generator | None = None
+        self._spec: EnvSpec | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start an episode. A seed restarts the random stream; without one the next episode follows."""
-        super().reset(seed=seed)
+        """Start an episode. A seed restarts the random stream; without one the next episode follows.
+
+        There are no options. Raises `ValueError` for any, and for a seed that is not a whole number.
+        """
+        check_options(options)
+        super().reset(seed=whole_seed(seed))
         if self._keyed_by is not self.np_random:
             self._keyed_by = self.np_random
             self._simulation.seed(0, stream_key(self.np_random))
@@ -189,6 +221,16 @@ class FormationEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Close the window, if there is one."""
         self._screen.close()
         self._simulation.close()
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What `gym.make` made this of, in a form that goes round through JSON; see `EnvSpec`."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        specs.check_time_limit(self.config)
+        self._spec = specs.recorded(spec, self.config.max_steps)
 
     @property
     def simulation(self) -> Simulation:

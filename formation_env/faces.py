@@ -9,11 +9,12 @@ from gymnasium import logger, spaces
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
+from formation_env.checks import choice, refuse
 from formation_env.memory import ERROR, FAILED, SEPARATION, SLOT, TERMS
 
 if TYPE_CHECKING:
     from formation_env.config import FormationConfig
-    from formation_env.rendering import Renderer
+    from formation_env.rendering import Memory, Renderer
     from formation_env.simulation import Simulation
 
 RENDER_MODES = ("human", "rgb_array")
@@ -39,6 +40,11 @@ def action_space(config: FormationConfig, rows: int) -> Any:
     return spaces.Box(-1.0, 1.0, (rows * config.action_size,), dtype=np.float32)
 
 
+def fps(config: FormationConfig) -> int:
+    """Pictures a second of an episode in its own time: one a tick, as a whole number."""
+    return max(1, round(1.0 / config.control_period))
+
+
 def read_action(action: Any, shape: tuple[int, ...], name: str = "action") -> NDArray[np.float32]:
     """The action as float32 of the given shape, itself where it is that already.
 
@@ -46,7 +52,12 @@ def read_action(action: Any, shape: tuple[int, ...], name: str = "action") -> ND
     """
     if type(action) is np.ndarray and action.dtype is FLOAT and action.shape == shape:
         return action  # as nearly always: nothing to check, and the kernels only read
-    array = np.asarray(action)
+    try:
+        array = np.asarray(action)
+    except ValueError:  # rows of unequal length
+        refuse(name, action, f"numbers of shape {shape}")
+    if isinstance(action, np.ma.MaskedArray):
+        refuse(name, action, f"an array of shape {shape} without a mask")
     if array.dtype.kind not in "fiu":
         raise ValueError(f"{name} has dtype {array.dtype}: expected real numbers")
     if array.shape != shape:
@@ -65,20 +76,19 @@ def describe(
     `terminated` says in which worlds a follower may have failed, if that is known.
 
     `slots` (m, inertial), `slot_error` (slot minus true position, m, inertial), `separation`
-    (distance to the nearest other vehicle, m), `failure` (an index into `task.FAILURES`) and
-    `reward_terms`, each with the leading shape of `outputs`.
+    (distance to the nearest other vehicle, m), `failure` (an index into `task.FAILURES`) and the
+    terms of the reward, `reward_formation` and so on, each with the leading shape of `outputs`.
+    Nothing in it is nested: other libraries make one tensor of every entry.
     """
     return {
         "slots": outputs[_SLOTS],
         "slot_error": outputs[_ERRORS],
         "separation": outputs[_SEPARATION],
         "failure": _failures(outputs, terminated),
-        "reward_terms": {
-            "formation": outputs[_FORMATION],
-            "effort": outputs[_EFFORT],
-            "smoothness": outputs[_SMOOTHNESS],
-            "failure": outputs[_FAILURE],
-        },
+        "reward_formation": outputs[_FORMATION],
+        "reward_effort": outputs[_EFFORT],
+        "reward_smoothness": outputs[_SMOOTHNESS],
+        "reward_failure": outputs[_FAILURE],
     }
 
 
@@ -98,21 +108,19 @@ def _failures(
 class Screen:
     """Draws the worlds of a simulation in a render mode, or None for not at all.
 
-    Makes a renderer when a world is first drawn and leaves them behind when pickled. Raises
-    `ValueError` for an unknown mode.
+    Makes a renderer when a world is first drawn. A copy makes its own, with the trails of the original's.
+    Raises `ValueError` for an unknown mode.
     """
 
     def __init__(self, mode: str | None, allowed: tuple[str, ...] = RENDER_MODES) -> None:
-        if mode is not None and mode not in allowed:
-            names = ", ".join(map(repr, allowed))
-            raise ValueError(f"render_mode = {mode!r}: expected one of {names} or None")
-        self.mode = mode
+        self.mode = None if mode is None else choice("render_mode", mode, allowed)
         self._renderers: dict[int, Renderer] = {}
+        self._memories: dict[int, Memory] = {}  # of a copy's original, until it draws
 
     def draw(self, simulation: Simulation, world: int = 0) -> Any:
         """A frame `(height, width, 3)` of uint8 in mode `rgb_array`; a window in mode `human`.
 
-        Raises `ResetNeeded` before the first reset.
+        Raises `ResetNeeded` before the first reset, `RuntimeError` without a display for a window.
         """
         if self.mode is None:
             logger.warn("render() without a render_mode: give one when making the environment")
@@ -123,9 +131,9 @@ class Screen:
 
         period = simulation.config.control_period
         if world not in self._renderers:
-            self._renderers[world] = Renderer(self.mode, 1.0 / period)
-        # The same path in every frame of an episode: its dashes are counted from its first point.
-        times = np.arange(0.0, simulation.config.duration, 0.1)
+            memory = self._memories.pop(world, None)
+            self._renderers[world] = Renderer(self.mode, 1.0 / period, memory=memory)
+        times = path_times(float(simulation.clock[world]), simulation.config.duration)
         scene = Scene(
             float(simulation.time[world]),
             bool(simulation.started[world]),
@@ -138,6 +146,7 @@ class Screen:
 
     def begin(self, simulation: Simulation, world: int = 0) -> None:
         """A new episode: forget the old one's trails, and show it if there is a window."""
+        self._memories.pop(world, None)
         if world in self._renderers:
             self._renderers[world].clear()
         self.follow(simulation, world)
@@ -154,4 +163,16 @@ class Screen:
         self._renderers = {}
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_renderers": {}}
+        memories = {world: renderer.memory() for world, renderer in self._renderers.items()}
+        return {**self.__dict__, "_renderers": {}, "_memories": self._memories | memories}
+
+
+def path_times(clock: float, duration: float) -> NDArray[np.float64]:
+    """Times (s) at which to draw the leader's path, 0.1 s apart: of all of it up to 200 s.
+
+    Of a longer one they are 200 s around `clock`, at least 50 s ahead. They change once in 100 s only,
+    because the path's dashes are counted from its first point.
+    """
+    begin = max(0.0, 100.0 * (clock // 100.0) - 50.0) if duration > 200.0 else 0.0
+    end = min(begin + 200.0, duration)
+    return begin + 0.1 * np.arange(np.ceil((end - begin) / 0.1), dtype=np.float64)

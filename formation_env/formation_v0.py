@@ -2,32 +2,41 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Mapping
 from typing import Any, final
 
 import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
+from gymnasium.utils import seeding
 from numpy.typing import NDArray
 from pettingzoo import AECEnv, ParallelEnv
-from pettingzoo.utils import parallel_to_aec, wrappers
+from pettingzoo.utils import wrappers
+from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 
 from formation_env import faces
-from formation_env.checks import integer
+from formation_env.arguments import Fixed, check_options, configured, limit, whole_seed
+from formation_env.checks import integer, refuse
 from formation_env.config import FormationConfig
 from formation_env.memory import ERROR, FAILED, REWARD, SEPARATION, SLOT, TERMS, Results
-from formation_env.scenarios import configure
-from formation_env.simulation import Simulation, Snapshot, seeded_key
+from formation_env.simulation import Simulation, Snapshot, stream_key
 
 Array = NDArray[np.float32]
 
 
 @final
-class FormationParallelEnv(ParallelEnv[str, Array, Array]):
+class FormationParallelEnv(Fixed, ParallelEnv[str, Array, Array]):
     """Every follower is an agent, `follower_0` to `follower_{n-1}`; all act at once.
 
     Observations, actions, rewards, ends and arguments are those of `FormationEnv`, one row per agent;
     the reward is the agent's own. The first failure ends the episode for all. `state()` is the truth
-    about the world, for centralised critics. `max_cycles` truncates earlier than the duration.
+    about the world, for centralised critics. `max_cycles` truncates earlier than the duration. Once the
+    episode is over there are no agents, and `step({})` returns five empty dictionaries.
+
+    `info` has for each agent `slot` and `slot_error` (3 numbers each, m, inertial) and as numbers
+    `separation` (m), `failure` and the terms `reward_formation`, `reward_effort`, `reward_smoothness`,
+    `reward_failure` of its reward, as `FormationEnv` describes them.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -37,9 +46,11 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
         "is_parallelizable": True,
     }
 
+    _fixed = frozenset({"config", "render_mode"})
+
     def __init__(
         self,
-        scenario: str | FormationConfig = "nominal",
+        scenario: str | FormationConfig | Mapping[str, Any] = "nominal",
         *,
         followers: int | None = None,
         max_cycles: int | None = None,
@@ -47,20 +58,21 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
         **options: Any,
     ) -> None:
         self._screen = faces.Screen(render_mode)
-        self.config = configure(scenario, followers=followers, **options)
+        self.config = configured(
+            "parallel_env", ("max_cycles", "render_mode"), scenario, followers, options
+        )
         self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": round(1.0 / self.config.control_period)}
+        self.metadata = {**self.metadata, "render_fps": faces.fps(self.config)}
         n = self.config.followers
         self.possible_agents = [f"follower_{i}" for i in range(n)]
         self.agents: list[str] = []
-        observation, action = (
-            faces.observation_space(self.config, 1),
-            faces.action_space(self.config, 1),
-        )
-        self.observation_spaces: dict[str, spaces.Box] = dict.fromkeys(
-            self.possible_agents, observation
-        )
-        self.action_spaces: dict[str, spaces.Box] = dict.fromkeys(self.possible_agents, action)
+        # An agent's own objects: a space draws samples from a generator of its own.
+        self.observation_spaces: dict[str, spaces.Box] = {
+            agent: faces.observation_space(self.config, 1) for agent in self.possible_agents
+        }
+        self.action_spaces: dict[str, spaces.Box] = {
+            agent: faces.action_space(self.config, 1) for agent in self.possible_agents
+        }
         self.state_space = _state_space(n)
         # Each agent and the indices of what is its own, in arrays `(1, followers, ...)`: made once,
         # because a step spends more on finding its numbers than on reading them.
@@ -73,17 +85,35 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
         self._actions = np.zeros((1, n, *self._shape), dtype=np.float32)
         self._simulation = Simulation(self.config)
         if max_cycles is not None:
-            self.max_cycles = max_cycles
-        self._seeded = False
+            self._simulation.limit(limit("max_cycles", max_cycles, self.config))
+        self._np_random: np.random.Generator | None = None
+        self._keyed_by: np.random.Generator | None = None
 
     @property
     def max_cycles(self) -> int:
-        """Steps after which an episode is truncated; may be set, up to the configured duration."""
+        """Steps after which an episode is truncated. It may be set; above the steps of the duration,
+        as PettingZoo's own tests do, it warns and stays at these."""
         return self._simulation.max_steps
 
     @max_cycles.setter
     def max_cycles(self, steps: int) -> None:
-        self._simulation.limit(integer("max_cycles", steps, 1))
+        steps, most = integer("max_cycles", steps, 1), self.config.max_steps
+        if steps > most:
+            message = f"max_cycles = {steps}: episodes end after {most} steps, the duration"
+            warnings.warn(message, stacklevel=3)
+        self._simulation.limit(steps)
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        """The generator that `reset(seed=...)` seeds, as Gymnasium has it; the world's own random stream is
+        keyed from it."""
+        if self._np_random is None:
+            self._np_random = seeding.np_random()[0]
+        return self._np_random
+
+    @np_random.setter
+    def np_random(self, generator: np.random.Generator) -> None:
+        self._np_random = generator
 
     def observation_space(self, agent: str) -> spaces.Box:
         """The space of one agent's observations; the same object each time."""
@@ -96,10 +126,17 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, dict[str, Any]]]:
-        """Start an episode. A seed restarts the random stream; without one the next episode follows."""
-        if seed is not None or not self._seeded:
-            self._simulation.seed(0, seeded_key(seed))
-            self._seeded = True
+        """Start an episode. A seed restarts the random stream; without one the next episode follows.
+
+        There are no options. Raises `ValueError` for any, and for a seed that is not a whole number; only
+        the key `"options"` is let pass, which PettingZoo's own tests send.
+        """
+        check_options(options, "options")
+        if (seed := whole_seed(seed)) is not None:
+            self._np_random = seeding.np_random(seed)[0]
+        if self._keyed_by is not self.np_random:
+            self._keyed_by = self.np_random
+            self._simulation.seed(0, stream_key(self.np_random))
         results = self._simulation.reset()
         self.agents = list(self.possible_agents)
         self._screen.begin(self._simulation)
@@ -115,8 +152,13 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """One control tick. Raises `ResetNeeded` before the first reset and after the end."""
+        """One control tick.
+
+        Raises `ResetNeeded` before the first reset, and after the end for any actions but `{}`.
+        """
         if not self.agents:
+            if actions == {} and self._simulation.seeded[0]:
+                return {}, {}, {}, {}, {}
             raise ResetNeeded("the episode is over or has not begun: call reset() before step()")
         results = self._simulation.step(self._read(actions))
         agents = self.agents
@@ -153,6 +195,13 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
             rows[own] = action
         return rows
 
+    def take_action(self, agent: str, action: Any) -> Array:
+        """A copy of one agent's action, float32; raises `ValueError` for what `step` would refuse."""
+        row = faces.read_action(action, self._shape, f"action of {agent}").copy()
+        if not np.isfinite(row).all():
+            refuse(f"action of {agent}", row, "finite numbers")
+        return row
+
     def _by_agent(
         self, results: Results
     ) -> tuple[dict[str, Array], dict[str, float], dict[str, dict[str, Any]]]:
@@ -172,12 +221,10 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
                 "slot_error": outputs[error],
                 "separation": row[SEPARATION],
                 "failure": int(row[FAILED]),
-                "reward_terms": {
-                    "formation": row[TERMS],
-                    "effort": row[TERMS + 1],
-                    "smoothness": row[TERMS + 2],
-                    "failure": row[TERMS + 3],
-                },
+                "reward_formation": row[TERMS],
+                "reward_effort": row[TERMS + 1],
+                "reward_smoothness": row[TERMS + 2],
+                "reward_failure": row[TERMS + 3],
             }
         return observations, rewards, infos
 
@@ -218,7 +265,8 @@ class FormationParallelEnv(ParallelEnv[str, Array, Array]):
     def set_state(self, state: Snapshot) -> None:
         """Continue from a state that `get_state` of the same configuration returned."""
         self._simulation.set_state(state)
-        self._seeded = bool(self._simulation.seeded[0])
+        if self._simulation.seeded[0]:
+            self._keyed_by = self.np_random  # the state's own stream goes on at the next reset
         self.agents = [] if self._simulation.over[0] else list(self.possible_agents)
 
 
@@ -234,11 +282,29 @@ def parallel_env(**options: Any) -> FormationParallelEnv:
     return FormationParallelEnv(**options)
 
 
+@final
+class _Turns(parallel_to_aec_wrapper[str, Array, Array]):
+    """PettingZoo's conversion, but for what an agent gives being looked at, and copied, in its turn.
+
+    There it is kept until the last agent's turn, which would raise what another agent's did.
+    """
+
+    env: FormationParallelEnv
+
+    def step(self, action: Array | None) -> None:
+        """Note the action of the agent whose turn it is, refused here if it cannot be flown."""
+        agent = self.agent_selection
+        if not (self.terminations[agent] or self.truncations[agent]):
+            action = self.env.take_action(agent, action)
+        super().step(action)
+
+
 def raw_env(**options: Any) -> AECEnv[str, Array, Array]:
-    """The agents taking turns, without the wrapper that guards the order of calls."""
-    return parallel_to_aec(parallel_env(**options))
+    """The agents taking turns, in the one wrapper that PettingZoo's own conversion adds as well: it guards
+    the order of calls."""
+    return wrappers.OrderEnforcingWrapper(_Turns(parallel_env(**options)))
 
 
 def env(**options: Any) -> AECEnv[str, Array, Array]:
     """The agents taking turns: PettingZoo's AEC form of `parallel_env`."""
-    return wrappers.OrderEnforcingWrapper(raw_env(**options))
+    return raw_env(**options)

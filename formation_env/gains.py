@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from math import sqrt
-from typing import final
+from typing import Any, final
 
 from formation_env.checks import number, require
 from formation_env.planner import PlannerLaw
 from formation_env.tracker import TrackerLaw
+
+MOST = 1e6  # of any gain: products of several stay far inside the floating-point range
 
 
 @final
@@ -18,7 +20,7 @@ class PlannerGains:
 
     Raises `ValueError` naming the gain unless the conditions of theorem 1 hold: `k1 > 0`, `k2 > 1`,
     `k3 >= 0` (the paper's simulations use 0, which switches the integral action off), and
-    `k_z1, k_z2, p_max, z_max > 0`. The paper does not print `z_max`.
+    `k_z1, k_z2, p_max, z_max > 0`; none above 1e6. The paper does not print `z_max`.
     """
 
     k1: float = 0.2  # 1/s
@@ -30,15 +32,13 @@ class PlannerGains:
     z_max: float = 4.0  # m/s^2
 
     def __post_init__(self) -> None:
-        number("planner.k1", self.k1, 0.0)
-        number("planner.k2", self.k2, 1.0)
-        number("planner.k3", self.k3, 0.0, strict=False)
-        for name in ("kz1", "kz2", "p_max", "z_max"):
-            number(f"planner.{name}", getattr(self, name), 0.0)
+        for f in fields(self):
+            low = 1.0 if f.name == "k2" else 0.0
+            _store(self, "planner", f.name, low, strict=f.name != "k3")
 
     def law(self) -> PlannerLaw:
         """The gains as the kernels take them."""
-        return PlannerLaw(*(float(getattr(self, f.name)) for f in fields(self)))
+        return PlannerLaw(*(getattr(self, f.name) for f in fields(self)))
 
 
 @final
@@ -49,7 +49,8 @@ class TrackerGains:
     `p12` and `p22` default to what makes `Q` positive definite (59): `p22 = k1`,
     `p12 = p11 k1 / k2`. Raises `ValueError` naming the condition unless
 
-    - every gain is positive and `p12^2 < p11 p22`, so `P` (56) is positive definite;
+    - every gain is positive (`c > 1e-6`) and none above 1e6;
+    - `p12^2 < p11 p22`, so `P` (56) is positive definite;
     - `Q` (57)-(59) is positive definite for every slope `sigma'` in `(0, sigma_max / sqrt(c)]`, which
       needs `k1 = p22` (as the slope goes to zero) and
       `(k2 - p12) p12 k1 + s (p11 p12 k1 k2 - (k1 p11 + k2 p12)^2 / 4) > 0` at both ends. The paper's
@@ -70,8 +71,10 @@ class TrackerGains:
     p22: float | None = None  # None: k1
 
     def __post_init__(self) -> None:
-        for name in ("k1", "k2", "k3", "k4", "kz", "sigma_max", "c", "p11"):
-            number(f"tracker.{name}", getattr(self, name), 0.0)
+        for f in fields(self):
+            if getattr(self, f.name) is not None or f.default is not None:
+                # As `c` goes to zero the saturation becomes a switch, its slope infinite.
+                _store(self, "tracker", f.name, 1e-6 if f.name == "c" else 0.0)
         p12, p22 = self.weights
         number("tracker.p12", p12, 0.0)
         number("tracker.p22", p22, 0.0)
@@ -111,8 +114,14 @@ class TrackerGains:
 
     def law(self) -> TrackerLaw:
         """The gains as the kernels take them."""
-        given = [float(getattr(self, f.name)) for f in fields(self)[:-2]]
-        return TrackerLaw(*given, *map(float, self.weights))
+        given = [getattr(self, f.name) for f in fields(self)[:-2]]
+        return TrackerLaw(*given, *list(self.weights))
+
+
+def _store(gains: Any, group: str, name: str, low: float, strict: bool = True) -> None:
+    """Check a gain and keep what was checked."""
+    value = number(f"{group}.{name}", getattr(gains, name), low, MOST, strict=strict)
+    object.__setattr__(gains, name, value)
 
 
 # For vehicles driven by rates. The paper's experiment used another tracker ([9]), whose gains it does

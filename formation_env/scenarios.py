@@ -11,8 +11,7 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from math import radians
 from typing import Any
@@ -20,11 +19,14 @@ from typing import Any
 import numpy as np
 
 from formation_env import formations
-from formation_env.checks import integer, require
-from formation_env.config import MAX_FOLLOWERS, FormationConfig, rows
-from formation_env.feasibility import FeasibilityWarning, require_feasible
+from formation_env.checks import integer, refuse, require, unexpected_keyword
+from formation_env.config import MAX_FOLLOWERS, PARTS, FormationConfig, quietly
+from formation_env.feasibility import require_feasible
 from formation_env.gains import PlannerGains
+from formation_env.parts import part, rows
 from formation_env.sensors import Noise
+from formation_env.so3 import Vector
+from formation_env.task import NEAR
 from formation_env.trajectories import figure_eight, lemniscate, random_smooth
 from formation_env.vehicle import Vehicle
 
@@ -39,9 +41,13 @@ PAPER_NOISE = Noise(
 )
 
 
+def _rows(offsets: Any) -> tuple[Vector, ...]:
+    return rows("offsets", offsets, NEAR)
+
+
 def nominal(followers: int = 2) -> FormationConfig:
     """Trajectory (31), III-C's pair (or a stack of pairs), start near the formation, no noise."""
-    return FormationConfig(offsets=rows("offsets", formations.stack(followers)))
+    return FormationConfig(offsets=_rows(formations.stack(followers)))
 
 
 def paper(followers: int = 2) -> FormationConfig:
@@ -49,7 +55,7 @@ def paper(followers: int = 2) -> FormationConfig:
     pair = ((-0.5, -1.0, 0.0), (-2.0, 1.0, 0.0))
     return FormationConfig(
         scenario="paper",
-        offsets=rows("offsets", formations.stack(followers)),
+        offsets=_rows(formations.stack(followers)),
         start="ground",
         leader_start=(0.0, 0.0, 0.0) if followers == 2 else None,
         follower_starts=pair if followers == 2 else None,
@@ -68,7 +74,7 @@ def experiment(followers: int = 2) -> FormationConfig:
     pair = ((-0.57, -0.37, 0.0), (-1.26, -0.77, 0.0))
     return FormationConfig(
         scenario="experiment",
-        offsets=rows("offsets", formations.stack(followers)),
+        offsets=_rows(formations.stack(followers)),
         trajectory=lemniscate(),
         action="rates",
         start="ground",
@@ -94,7 +100,7 @@ def agile(followers: int = 2) -> FormationConfig:
     """The leader on random smooth trajectories of up to 2.1 m/s, a new one each episode."""
     return FormationConfig(
         scenario="agile",
-        offsets=rows("offsets", formations.stack(followers)),
+        offsets=_rows(formations.stack(followers)),
         trajectory=random_smooth(speed=1.5, variation=0.6, acceleration=1.0),
     )
 
@@ -108,7 +114,7 @@ def swarm(followers: int = 16) -> FormationConfig:
     size = max(1.0, 1.1 * 2.4 * reach)
     return FormationConfig(
         scenario="swarm",
-        offsets=rows("offsets", offsets),
+        offsets=_rows(offsets),
         trajectory=figure_eight(amplitude=(2.0 * size, size), rate=0.5 / size),
     )
 
@@ -118,45 +124,90 @@ SCENARIOS: dict[str, Callable[..., FormationConfig]] = {
 }
 
 
+_FIELDS = tuple(f.name for f in fields(FormationConfig) if f.name != "scenario")
+
+
 def configure(
-    scenario: str | FormationConfig = "nominal", *, followers: int | None = None, **overrides: Any
+    scenario: str | FormationConfig | Mapping[str, Any] = "nominal",
+    *,
+    followers: int | None = None,
+    **overrides: Any,
 ) -> FormationConfig:
     """A scenario with some of its fields overridden.
 
     `scenario` is a name, or a `FormationConfig` to start from; `followers` re-forms a named scenario
-    with that many; every other keyword is a field of `FormationConfig`. Raises `ValueError` for an
-    unknown scenario or field, or an impossible value.
+    with that many; every other keyword is a field of `FormationConfig`, as it is or in its JSON form.
+    A dictionary given for a part changes only what it names: `configure("paper", noise={"position":
+    0.1})` keeps the scenario's other noise.
+
+    `scenario` may also be a dictionary of fields, such as `FormationConfig.to_dict` gives. What it
+    leaves out comes from the scenario that it names (`nominal` if none): `{"scenario": "paper",
+    "vehicle": {"mass": 0.2}}` is `configure("paper", vehicle={"mass": 0.2})`.
+
+    Raises `ValueError` for an unknown scenario or an impossible value, `TypeError` for an unknown keyword.
 
     A named scenario's own formation and trajectory warn only where a virtual follower really inverts:
-    III-C's own pair fails the sufficient bound (29)-(30) on (31) and never does.
+    III-C's own pair fails the sufficient bound (29)-(30) on (31) and never does. So does a dictionary of
+    a whole configuration, which has warned when it was made.
     """
-    known = [f.name for f in fields(FormationConfig) if f.name != "scenario"]
     for name in overrides:
-        if name not in known:
-            raise ValueError(f"unknown option {name!r}: expected one of {', '.join(known)}")
+        if name not in _FIELDS:
+            raise unexpected_keyword("configure", name, ("scenario", "followers", *_FIELDS))
+    if isinstance(scenario, Mapping):
+        if not {"scenario", *_FIELDS} <= set(scenario):
+            return _completed(scenario, followers, overrides)
+        scenario = quietly(FormationConfig.from_dict, scenario)
     if isinstance(scenario, FormationConfig):
         if followers is not None:
-            raise ValueError(f"followers = {followers!r}: give `offsets` to change a configuration")
+            refuse("followers", followers, "none: give `offsets` to change a configuration")
+        overrides = _merged(scenario, overrides)
         if {"offsets", "trajectory"} & set(overrides):
             return replace(scenario, **overrides)
-        with warnings.catch_warnings():  # it warned when it was made
-            warnings.simplefilter("ignore", FeasibilityWarning)
-            return replace(scenario, **overrides)
+        return quietly(replace, scenario, **overrides)  # it warned when it was made
     named = isinstance(scenario, str) and scenario in SCENARIOS
     require(named, "scenario", scenario, "one of " + ", ".join(map(repr, SCENARIOS)))
+    return _named(scenario, followers, overrides)
+
+
+def _named(scenario: str, followers: int | None, overrides: dict[str, Any]) -> FormationConfig:
+    """A named scenario with some of its fields overridden."""
+    arguments = []
     if followers is not None:
-        integer("followers", followers, 1, MAX_FOLLOWERS)
+        arguments.append(integer("followers", followers, 1, MAX_FOLLOWERS))
         if "offsets" in overrides:
             raise ValueError("followers and offsets given: expected one of them")
     if "offsets" in overrides:  # the scenario's own starts belong to its own formation
         overrides = {"follower_starts": None, "leader_start": None, **overrides}
-    own = not {"offsets", "trajectory"} & set(overrides)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FeasibilityWarning)
-        maker = SCENARIOS[scenario]
-        base = maker() if followers is None else maker(int(followers))
-        config = replace(base, **overrides) if own else base
-    if not own:
-        return replace(config, **overrides)
+    base = quietly(SCENARIOS[scenario], *arguments)
+    overrides = _merged(base, overrides)
+    if {"offsets", "trajectory"} & set(overrides):
+        return replace(base, **overrides)
+    return _certain(quietly(replace, base, **overrides))
+
+
+def _completed(
+    data: Mapping[str, Any], followers: int | None, overrides: dict[str, Any]
+) -> FormationConfig:
+    """The scenario that a dictionary names, with the dictionary's fields and then the overrides."""
+    given = {"scenario": "nominal", "followers": followers, **data}
+    for name in data:
+        if name not in ("scenario", "followers", *_FIELDS):
+            refuse(f"scenario[{name!r}]", data[name], f"only fields: {', '.join(_FIELDS)}")
+    for name, value in overrides.items():
+        both = name in PARTS and isinstance(value, Mapping) and isinstance(data.get(name), Mapping)
+        given[name] = {**data[name], **value} if both else value
+    return configure(**given)
+
+
+def _merged(base: FormationConfig, overrides: dict[str, Any]) -> dict[str, Any]:
+    """The overrides, with what a dictionary for a part leaves out as `base` has it."""
+    return {
+        name: part(name, value, getattr(base, name)) if name in PARTS else value
+        for name, value in overrides.items()
+    }
+
+
+def _certain(config: FormationConfig) -> FormationConfig:
+    """`config`, with a warning where a virtual follower really inverts."""
     require_feasible(report for report in config.feasibility() if report.inverts)
     return config

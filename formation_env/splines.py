@@ -1,7 +1,7 @@
 """Leader trajectories through points: splines of degree 7, continuous up to the sixth derivative.
 
 The tracker wants a reference of class C4; degree 7 gives more, and it is what minimises snap
-between way-points. SciPy builds them once; the kernels evaluate the table (`trajectories`).
+between way-points. SciPy builds them once; the kernels evaluate the table (`references`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from formation_env.checks import require
 from formation_env.references import SPLINE, TERMS, Floats
-from formation_env.trajectories import Trajectory
+from formation_env.trajectory import Trajectory
 
 _DEGREE = TERMS - 1
 _AT_REST = [(order, np.zeros(3)) for order in (1, 2, 3)]

@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, final
 
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from formation_env import faces
-from formation_env.checks import integer
+from formation_env import faces, specs
+from formation_env.arguments import Fixed, check_options, configured, limit, whole_seed
+from formation_env.checks import integer, refuse
 from formation_env.config import FormationConfig
 from formation_env.kernels import STEP, STEP_AND_RESET, STEP_OR_RESET
 from formation_env.memory import Results
-from formation_env.scenarios import configure
 from formation_env.simulation import Simulation, Snapshot, seeded_key
 
 Array = NDArray[Any]
+
+MOST_WORLDS = 2**20  # some gigabytes for two followers
 
 _MODES = {
     AutoresetMode.NEXT_STEP: STEP_OR_RESET,
@@ -30,7 +33,7 @@ _MODES = {
 
 
 @final
-class FormationVectorEnv(VectorEnv[Array, Array, Array]):
+class FormationVectorEnv(Fixed, VectorEnv[Array, Array, Array]):
     """`num_envs` independent `Formation-v0` worlds, stepped by one compiled call.
 
     World i gives bit for bit the numbers of `gym.make("Formation-v0", ...)` with seed `seed + i`, in
@@ -38,10 +41,13 @@ class FormationVectorEnv(VectorEnv[Array, Array, Array]):
     `gymnasium.vector.SyncVectorEnv` would return, dtypes and `info` masks included. Arguments and
     spaces as `FormationEnv`, and:
 
-    `num_envs`: how many worlds. `max_episode_steps`: truncates earlier than the scenario's duration.
+    `num_envs`: how many worlds, up to 2**20. `max_episode_steps`: truncates earlier than the duration.
     `autoreset_mode`: `NEXT_STEP` (Gymnasium's default), `SAME_STEP` or `DISABLED`, as enumeration or
     name; with `DISABLED`, `reset(options={"reset_mask": mask})` restarts the worlds of a boolean mask.
     `threads`: at most this many, by default one per core; they change no number.
+
+    `info` has the entries of `FormationEnv`'s with the worlds as first axis, beside each a mask `_name`;
+    with `SAME_STEP` also `final_obs` and `final_info`, a dictionary of such entries, where one has ended.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -50,10 +56,12 @@ class FormationVectorEnv(VectorEnv[Array, Array, Array]):
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
+    _fixed = frozenset({"config", "render_mode", "num_envs", "autoreset_mode"})
+
     def __init__(
         self,
         num_envs: int = 1,
-        scenario: str | FormationConfig = "nominal",
+        scenario: str | FormationConfig | Mapping[str, Any] = "nominal",
         *,
         followers: int | None = None,
         max_episode_steps: int | None = None,
@@ -63,25 +71,25 @@ class FormationVectorEnv(VectorEnv[Array, Array, Array]):
         **options: Any,
     ) -> None:
         self.closed = True  # until it is built: Gymnasium 1.2 closes whatever is collected
-        self.num_envs = integer("num_envs", num_envs, 1)
-        if max_episode_steps is not None:
-            integer("max_episode_steps", max_episode_steps, 1)
-        if threads is not None:
-            integer("threads", threads, 1)
+        self.num_envs = integer("num_envs", num_envs, 1, MOST_WORLDS)
+        workers = os.cpu_count() or 1 if threads is None else integer("threads", threads, 1)
         self._screen = faces.Screen(render_mode, ("rgb_array",))
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
-        self.config = configure(scenario, followers=followers, **options)
+        own = ("num_envs", "max_episode_steps", "autoreset_mode", "threads", "render_mode")
+        self.config = configured(type(self).__name__, own, scenario, followers, options)
+        if max_episode_steps is not None:
+            max_episode_steps = limit("max_episode_steps", max_episode_steps, self.config)
         self.render_mode = render_mode
         self.metadata = {
             **self.metadata,
-            "render_fps": round(1.0 / self.config.control_period),
+            "render_fps": faces.fps(self.config),
             "autoreset_mode": self.autoreset_mode,
         }
         self.single_observation_space = faces.observation_space(self.config, self.config.followers)
         self.single_action_space = faces.action_space(self.config, self.config.followers)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        workers = os.cpu_count() or 1 if threads is None else threads
+        self._spec: EnvSpec | None = None
         self._simulation = Simulation(self.config, self.num_envs, workers, max_episode_steps)
         self.closed = False
 
@@ -91,7 +99,12 @@ class FormationVectorEnv(VectorEnv[Array, Array, Array]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Array, dict[str, Any]]:
-        """Start episodes: world i from `seed + i`, or `seed[i]`, or its stream's next episode."""
+        """Start episodes: world i from `seed + i`, or `seed[i]`, or its stream's next episode.
+
+        The one option is `reset_mask`, a boolean array: only these worlds start anew. Raises `ValueError`
+        for another, and for a seed that is not a whole number.
+        """
+        check_options(options, "reset_mask")
         seeds = self._seeds(seed)
         mask = self._reset_mask(options)
         anew = np.flatnonzero(
@@ -147,13 +160,17 @@ class FormationVectorEnv(VectorEnv[Array, Array, Array]):
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
             return [None] * self.num_envs
-        if isinstance(seed, (int, np.integer)):
-            return [int(seed) + i for i in range(self.num_envs)]
-        if isinstance(seed, str) or not isinstance(seed, (Sequence, np.ndarray)):
-            raise ValueError(f"seed = {seed!r}: expected an integer, one per world, or None")
-        if len(seed) != self.num_envs:
-            raise ValueError(f"seed has {len(seed)} entries: expected {self.num_envs}")
-        return [None if s is None else int(s) for s in seed]
+        several = isinstance(seed, Sequence) and not isinstance(seed, (str, bytes))
+        if isinstance(seed, np.ndarray) and seed.ndim == 1:
+            several = not isinstance(seed, np.ma.MaskedArray)
+        if not several:
+            if isinstance(seed, (int, np.integer)) and not isinstance(seed, bool) and seed >= 0:
+                return [int(seed) + i for i in range(self.num_envs)]
+            refuse("seed", seed, "an integer of at least 0, one for each world, or None")
+        seeds: Any = seed
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"seed has {len(seeds)} entries: expected {self.num_envs}")
+        return [whole_seed(own, f"seed[{i}]") for i, own in enumerate(seeds)]
 
     def _reset_mask(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
         if options is None or "reset_mask" not in options:
@@ -161,10 +178,8 @@ class FormationVectorEnv(VectorEnv[Array, Array, Array]):
         mask = options["reset_mask"]
         good = isinstance(mask, np.ndarray) and mask.dtype == np.bool_
         if not good or mask.shape != (self.num_envs,) or not mask.any():
-            raise ValueError(
-                f"options['reset_mask'] = {mask!r}: expected a boolean array of shape "
-                f"({self.num_envs},) with at least one True"
-            )
+            shape = f"a boolean array of shape ({self.num_envs},) with at least one True"
+            refuse("options['reset_mask']", mask, shape)
         return np.array(mask)
 
     def render(self) -> tuple[Array, ...] | None:
@@ -177,6 +192,15 @@ class FormationVectorEnv(VectorEnv[Array, Array, Array]):
         """Stop the threads."""
         self._screen.close()
         self._simulation.close()
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What `gym.make_vec` made this of, in a form that goes round through JSON; see `EnvSpec`."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = specs.recorded(spec, self._simulation.max_steps)
 
     @property
     def simulation(self) -> Simulation:
@@ -196,27 +220,22 @@ def _masked(info: dict[str, Any], mask: NDArray[np.bool_]) -> dict[str, Any]:
     """Gymnasium's form: beside each array `_name`, the worlds it speaks of; zeros elsewhere."""
     # Whether all are meant is asked once: for every entry anew it was half of a small batch's step.
     others = None if mask.all() else ~mask
-
-    def named(part: dict[str, Any]) -> dict[str, Any]:
-        result: dict[str, Any] = {}
-        for name, value in part.items():
-            if isinstance(value, dict):
-                value = named(value)
-            elif others is not None:
-                value = value.copy()
-                value[others] = 0
-            result[name] = value
-            result[f"_{name}"] = mask.copy()
-        return result
-
-    return named(info)
+    result: dict[str, Any] = {}
+    for name, value in info.items():
+        if others is not None:
+            value = value.copy()
+            value[others] = 0
+        result[name] = value
+        result[f"_{name}"] = mask.copy()
+    return result
 
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
     if isinstance(mode, AutoresetMode):
         return mode
     for known in AutoresetMode:
-        if str(mode).lower() in (known.name.lower(), str(known.value).lower()):
+        names = (known.name.lower(), str(known.value).lower())
+        if isinstance(mode, str) and mode.lower() in names:
             return known
     allowed = ", ".join(known.name for known in AutoresetMode)
-    raise ValueError(f"autoreset_mode = {mode!r}: expected one of {allowed}")
+    refuse("autoreset_mode", mode, f"one of {allowed}")

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from math import inf
 from typing import Any, final
 
-from formation_env.checks import number, require, vector
+from formation_env.checks import boolean, number, require, vector
 from formation_env.quadrotor import GRAVITY, Airframe
 from formation_env.so3 import Vector
+
+MOST_LIFT = 100.0  # of `thrust_max`, in weights
 
 
 @final
@@ -18,6 +20,17 @@ class Vehicle:
 
     `thrust_max` defaults to twice the weight, so that action 0 hovers. `limited=False` lets the
     actuators give anything, negative thrust included, as the paper's own simulations do.
+
+    By itself another `mass` changes next to nothing: the default `thrust_max` follows it, actions are
+    in shares of `thrust_max`, and the laws know the mass. For a vehicle whose mass differs from what a
+    policy was trained or tuned for, fix `thrust_max` in N, the same for both masses: at 10 % more mass,
+    `Vehicle(mass=0.11, thrust_max=1.962)`, action 0 gives 10 % too little thrust to hover. The leader is
+    flown with the true mass always, followers by the policy alone.
+
+    Every number is stored as a plain `float`. Raises `ValueError` naming the field if the mass is not
+    from 1e-6 to 1e6 kg, an inertia not from 1e-12 to 1e9 kg m^2, the three not those of a rigid body,
+    or `thrust_max` not above the weight and up to 100 weights. What a substep can follow is for the
+    configuration to check, which knows it.
     """
 
     mass: float = 0.1  # kg
@@ -29,10 +42,12 @@ class Vehicle:
     limited: bool = True
 
     def __post_init__(self) -> None:
-        number("vehicle.mass", self.mass, 0.0)
-        number("vehicle.rate_lag", self.rate_lag, 0.0)
-        for name in ("inertia", "moment_max", "rate_max"):
-            object.__setattr__(self, name, vector3(f"vehicle.{name}", getattr(self, name), 0.0))
+        self._store("mass", number("vehicle.mass", self.mass, 1e-6, 1e6, strict=False))
+        self._store("rate_lag", number("vehicle.rate_lag", self.rate_lag, 0.0, 1e6))
+        least = {"inertia": 1e-12, "moment_max": 0.0, "rate_max": 0.0}
+        for name, low in least.items():
+            value = vector3(f"vehicle.{name}", getattr(self, name), low, 1e9, strict=low == 0.0)
+            self._store(name, value)
         a, b, c = sorted(self.inertia)
         require(
             c <= (a + b) * (1.0 + 1e-9),
@@ -41,13 +56,18 @@ class Vehicle:
             "moments of inertia of a rigid body: none above the sum of the other two",
         )
         if self.thrust_max is not None:
-            number("vehicle.thrust_max", self.thrust_max, self.mass * GRAVITY)
-        require(isinstance(self.limited, bool), "vehicle.limited", self.limited, "True or False")
+            weight = self.mass * GRAVITY
+            thrust = number("vehicle.thrust_max", self.thrust_max, weight, MOST_LIFT * weight)
+            self._store("thrust_max", thrust)
+        self._store("limited", boolean("vehicle.limited", self.limited))
+
+    def _store(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)
 
     @property
     def full_thrust(self) -> float:
         """`thrust_max`, or twice the weight, N."""
-        return float(2.0 * self.mass * GRAVITY if self.thrust_max is None else self.thrust_max)
+        return 2.0 * self.mass * GRAVITY if self.thrust_max is None else self.thrust_max
 
     def airframe(self) -> Airframe:
         """The vehicle as the kernels take it."""
@@ -55,10 +75,12 @@ class Vehicle:
             limits = (0.0, self.full_thrust, self.moment_max, self.rate_max)
         else:
             limits = (-inf, inf, (inf, inf, inf), (inf, inf, inf))
-        return Airframe(float(self.mass), self.inertia, *limits, float(self.rate_lag))
+        return Airframe(self.mass, self.inertia, *limits, self.rate_lag)
 
 
-def vector3(name: str, value: Any, low: float = -inf) -> Vector:
-    """Three finite numbers above `low`."""
-    x, y, z = (number(name, float(v), low) for v in vector(name, value, 3))
+def vector3(
+    name: str, value: Any, low: float = -inf, high: float = inf, *, strict: bool = True
+) -> Vector:
+    """Three finite numbers within bounds, as `checks.number` has them."""
+    x, y, z = vector(name, value, 3, low, high, strict=strict).tolist()
     return (x, y, z)

@@ -58,6 +58,12 @@ def arrays(value: Any) -> list[npt.NDArray[Any]]:
     return []
 
 
+def reward_terms(info: dict[str, Any]) -> dict[str, Any]:
+    """The entries of `info` that add up to the reward, by the term's name."""
+    mark = "reward_"
+    return {name.removeprefix(mark): info[name] for name in info if name.startswith(mark)}
+
+
 def fly(env: FormationEnv, actions: Actions) -> list[Step]:
     """Steps of a running episode; it starts the next one, without a seed, where one ends."""
     steps: list[Step] = []

@@ -103,7 +103,7 @@ def test_a_configuration_cannot_be_changed_behind_its_checks() -> None:
 
 
 def test_a_configuration_is_not_reformed() -> None:
-    with pytest.raises(ValueError, match="followers = 3: give `offsets`"):
+    with pytest.raises(ValueError, match="followers = 3: expected none: give `offsets`"):
         configure(configure(), followers=3)
 
 

@@ -12,14 +12,22 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from episodes import LEVELS, SCENARIOS, arrays, episode, gentle, same, wild
+from episodes import LEVELS, SCENARIOS, arrays, episode, gentle, reward_terms, same, wild
 from gymnasium.utils.env_checker import check_env
 
 from formation_env import Limits, trajectories
 from formation_env.env import FormationEnv
 from formation_env.quadrotor import GRAVITY
 from formation_env.simulation import Simulation
-from formation_env.task import COLLISION, IMPACT, LOST, NEIGHBOUR_ENTRIES, NO_FAILURE, Layout
+from formation_env.task import (
+    COLLISION,
+    IMPACT,
+    LOST,
+    NEIGHBOUR_ENTRIES,
+    NO_FAILURE,
+    Layout,
+    Terms,
+)
 from formation_env.world import REFERENCE
 
 PYGAME = importlib.util.find_spec("pygame") is not None
@@ -189,8 +197,28 @@ def test_info_is_the_truth(scenario: str) -> None:
         gaps[np.arange(n), np.arange(n) + 1] = np.inf
         np.testing.assert_allclose(info["separation"], gaps.min(axis=1), rtol=1e-12)
         _, reward, _, _, info = env.step(action)
-        terms = info["reward_terms"]
+        terms = reward_terms(info)
         assert reward == pytest.approx(np.sum(list(terms.values()), axis=0).mean(), rel=1e-14)
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_info_holds_only_arrays(scenario: str) -> None:
+    """Other libraries make a tensor of every entry, and always of the same ones."""
+    env = FormationEnv(scenario)
+    n = env.config.followers
+    shapes = {
+        "slots": (n, 3),
+        "slot_error": (n, 3),
+        "separation": (n,),
+        "failure": (n,),
+        **{f"reward_{term}": (n,) for term in Terms._fields},
+    }
+    for step in episode(env, wild(60, n * env.config.action_size), seed=1):
+        info = step[-1]
+        assert all(type(value) is np.ndarray for value in info.values())
+        assert {name: value.shape for name, value in info.items()} == shapes
+        assert info.pop("failure").dtype == np.int64
+        assert all(value.dtype == np.float64 for value in info.values())
 
 
 @pytest.mark.parametrize("action", LEVELS)
@@ -206,7 +234,7 @@ def test_reward_is_what_the_manual_says(action: str) -> None:
         _, _, over, _, info = env.step(row)
         executed = np.clip(row.reshape(2, k).astype(np.float64), -1.0, 1.0)
         error = np.linalg.norm(info["slots"] - env.simulation.positions[0, 1:], axis=1)
-        terms = info["reward_terms"]
+        terms = reward_terms(info)
         np.testing.assert_allclose(terms["formation"], 1 / (1 + (error / 0.4) ** 2), rtol=1e-12)
         np.testing.assert_allclose(terms["effort"], -0.3 * (executed**2).mean(1), rtol=1e-12)
         change = ((executed - previous) ** 2).mean(1)
@@ -250,7 +278,7 @@ def test_only_the_one_that_fails_pays() -> None:
     _, terminated, _, info = run_to_the_end(env, [-1, 0, 0, 0, 0, 0, 0, 0])
     assert terminated
     np.testing.assert_array_equal(info["failure"], [IMPACT, NO_FAILURE])
-    np.testing.assert_array_equal(info["reward_terms"]["failure"], [-10.0, 0.0])
+    np.testing.assert_array_equal(info["reward_failure"], [-10.0, 0.0])
 
 
 def test_full_thrust_loses_it() -> None:

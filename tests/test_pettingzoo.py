@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pettingzoo
 import pytest
-from episodes import SCENARIOS, arrays, gentle, same, wild
+from episodes import SCENARIOS, arrays, gentle, reward_terms, same, wild
 from pettingzoo.test import (
     api_test,
     max_cycles_test,
@@ -126,18 +126,34 @@ def test_an_agent_may_act_in_any_form_and_order() -> None:
         assert same(plain, kept)
 
 
-def test_reward_terms_are_those_of_the_gymnasium_face() -> None:
+def test_terms_of_the_reward_are_those_of_the_gymnasium_face() -> None:
     single, parallel = FormationEnv("swarm"), formation_v0.parallel_env(scenario="swarm")
     single.reset(seed=6), parallel.reset(seed=6)
     for row in wild(20, *shape(parallel)):
-        terms = single.step(row.reshape(-1))[4]["reward_terms"]
+        terms = reward_terms(single.step(row.reshape(-1))[4])
         infos = parallel.step(acts(parallel, row))[4]
         for i, agent in enumerate(parallel.possible_agents):
-            own = infos[agent]["reward_terms"]
+            own = reward_terms(infos[agent])
             assert tuple(own) == tuple(terms) == Terms._fields
             assert own == {name: values[i] for name, values in terms.items()}
         if not parallel.agents:
             break
+
+
+def test_info_holds_only_arrays_and_numbers() -> None:
+    """Other libraries make a tensor of every entry, and always of the same ones."""
+    env = formation_v0.parallel_env(max_cycles=3)
+    entries = [env.reset(seed=0)[1]]
+    while env.agents:
+        entries.append(env.step(acts(env, np.zeros(shape(env), np.float32)))[4])
+    for info in (own for infos in entries for own in infos.values()):
+        assert {name: type(value) for name, value in info.items()} == {
+            "slot": np.ndarray,
+            "slot_error": np.ndarray,
+            "separation": float,
+            "failure": int,
+            **{f"reward_{term}": float for term in Terms._fields},
+        }
 
 
 def test_state_belongs_to_the_environment() -> None:
@@ -167,7 +183,7 @@ def test_the_first_failure_ends_it_for_all() -> None:
     assert rewards["follower_0"] < -9.0 < 0.9 < rewards["follower_1"]
     assert [infos[a]["failure"] for a in env.possible_agents] == [2, 0]
     for agent in env.possible_agents:
-        assert rewards[agent] == pytest.approx(sum(infos[agent]["reward_terms"].values()))
+        assert rewards[agent] == pytest.approx(sum(reward_terms(infos[agent]).values()))
 
 
 @pytest.mark.parametrize("steps", [1, 7])

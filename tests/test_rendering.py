@@ -1,9 +1,13 @@
 from __future__ import annotations
 
+import copy
 import os
+import pickle
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from formation_env.env import FormationEnv
+from formation_env.faces import path_times
 from formation_env.references import Floats
 from formation_env.rendering import Renderer, Scene
 from formation_env.rendering.camera import Camera, Follow, look, project
@@ -384,3 +390,95 @@ def test_without_pygame_the_command_that_installs_it_is_named(
 def test_an_unknown_mode_is_refused() -> None:
     with pytest.raises(ValueError, match="render_mode = 'ascii'"):
         Renderer("ascii", 50.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        ({"fps": 0.0}, "fps"),
+        ({"fps": "50"}, "fps"),
+        ({"fps": np.nan}, "fps"),
+        ({"size": 300}, "size"),
+        ({"size": (300.0, 200)}, "width"),
+        ({"size": (300, 10**9)}, "height"),
+    ],
+)
+def test_impossible_numbers_are_refused(options: dict[str, Any], name: str) -> None:
+    with pytest.raises(ValueError, match=f"^{name} = "):
+        Renderer(**{"render_mode": "rgb_array", "fps": 50.0, **options})
+
+
+NO_DISPLAY = """
+import gymnasium as gym, numpy as np
+from formation_env import formation_v0
+def single(**options):
+    return gym.make("formation_env:Formation-v0", **options)
+for make in (single, formation_v0.parallel_env, formation_v0.env):
+    env = make(render_mode="human")
+    for _ in range(2):
+        try:
+            env.reset(seed=0)
+        except RuntimeError as error:
+            print(type(error).__name__, error)
+    env.close()
+"""
+
+
+@pytest.mark.parametrize("driver", [None, "x11", "nonsense"])
+def test_without_a_display_the_mode_that_needs_none_is_named(driver: str | None) -> None:
+    """On every face; also where SDL would draw a window that nobody can see."""
+    said = run_python(NO_DISPLAY, **({} if driver is None else {"SDL_VIDEODRIVER": driver}))
+    errors = [line for line in said.splitlines() if line.startswith("RuntimeError")]
+    assert len(errors) == 6
+    for line in errors:
+        assert "render_mode = 'human' cannot open a window" in line
+        assert "use render_mode='rgb_array'" in line
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("drawn", [0, 1, 12])
+def test_a_copy_keeps_the_trails(copied: Callable[[Any], Any], drawn: int) -> None:
+    """Its pictures are those of the original, whatever the original draws meanwhile."""
+    env: Any = FormationEnv(render_mode="rgb_array", duration=0.5)
+    env.reset(seed=0)
+    for _ in range(drawn):
+        env.step(np.full(8, 0.1, np.float32))
+        env.render()
+    twin = copied(copied(env))
+    assert np.array_equal(env.render(), twin.render())
+    for _ in range(25 - drawn):
+        env.step(np.full(8, 0.1, np.float32))
+        shown = env.render()
+    for _ in range(25 - drawn):
+        twin.step(np.full(8, 0.1, np.float32))
+        again = twin.render()
+    assert np.array_equal(shown, again)
+    env.reset(seed=1), twin.reset(seed=1)
+    assert np.array_equal(env.render(), twin.render())
+
+
+def test_a_copy_that_has_not_drawn_forgets_the_trails_at_a_reset() -> None:
+    env = FormationEnv(render_mode="rgb_array")
+    env.reset(seed=0)
+    for _ in range(10):
+        env.step(np.full(8, 0.1, np.float32))
+        env.render()
+    twin, fresh = copy.deepcopy(env), FormationEnv(render_mode="rgb_array")
+    twin.reset(seed=5), fresh.reset(seed=5)
+    assert np.array_equal(twin.render(), fresh.render())
+
+
+@pytest.mark.parametrize("duration", [0.02, 20.0, 200.0])
+def test_all_of_a_path_is_drawn_where_it_is_short(duration: float) -> None:
+    times = path_times(0.0, duration)
+    assert times[0] == 0.0 and times[-1] < duration <= times[-1] + 0.1 + 1e-9
+    np.testing.assert_array_equal(path_times(duration, duration), times)
+
+
+@given(st.floats(0.0, 1e9), st.floats(200.1, 1e9))
+def test_of_a_long_path_a_piece_around_now_is_drawn(clock: float, duration: float) -> None:
+    clock = min(clock, duration)
+    times = path_times(clock, duration)
+    assert len(times) <= 2001 and (times <= duration).all() and times[0] >= 0.0
+    assert times[0] <= clock
+    assert times[-1] + 0.2 >= min(clock + 50.0, duration)

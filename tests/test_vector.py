@@ -17,6 +17,7 @@ from gymnasium.wrappers.vector import NormalizeObservation, RecordEpisodeStatist
 from numba import config
 
 from formation_env import Limits, configure, kernels, lanes, simulation
+from formation_env.task import Terms
 from formation_env.vector import FormationVectorEnv
 
 ID = "formation_env:Formation-v0"
@@ -78,6 +79,25 @@ def test_it_is_the_sync_vector_env(task: str, num_envs: int, mode: AutoresetMode
     assert native.observation_space == sync.observation_space
     assert native.action_space == sync.action_space
     sync.close()
+
+
+@pytest.mark.parametrize("mode", MODES, ids=lambda mode: mode.name)
+def test_info_holds_only_arrays(mode: AutoresetMode) -> None:
+    """`final_info` is by Gymnasium's convention a dictionary, and it too holds only arrays."""
+    envs = FormationVectorEnv(2, max_episode_steps=3, autoreset_mode=mode)
+    info = envs.reset(seed=0)[1]
+    names = {name for name in info if not name.startswith("_")}
+    assert {f"reward_{term}" for term in Terms._fields} < names
+    finals = 0
+    for _ in range(3):
+        info = envs.step(np.zeros((2, 8), np.float32))[4]
+        final = info.pop("final_info", {})
+        finals += len(final) > 0
+        for entry in (info, final) if final else (info,):
+            assert all(type(value) is np.ndarray for value in entry.values())
+            assert names <= set(entry)
+            assert {f"_{name}" for name in names} <= set(entry)
+    assert finals == (mode == AutoresetMode.SAME_STEP)
 
 
 def test_seeds_may_be_given_one_by_one() -> None:

@@ -6,18 +6,21 @@ scenes gives the same pixels. pygame (extra `render`) is imported when a `Render
 
 from __future__ import annotations
 
+import copy
+import os
 from collections import deque
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
+from formation_env.checks import choice, integer, number, require
 from formation_env.references import Floats
 from formation_env.rendering.camera import Follow
 from formation_env.rendering.scene import Scene
 
-__all__ = ["Renderer", "Scene"]
+__all__ = ["Memory", "Renderer", "Scene"]
 
 TRAIL_STEP = 0.08  # s between the points of a trail
 TRAIL_LENGTH = 64  # points
@@ -34,20 +37,39 @@ def _pygame() -> Any:
     return pygame
 
 
+class Memory(NamedTuple):
+    """What the next picture depends on besides its scene."""
+
+    trail: tuple[tuple[float, Floats], ...]  # times and positions, the oldest first
+    follow: Follow
+
+
 @final
 class Renderer:
     """Draws scenes one after the other; remembers the trails and where the camera was.
 
     `render_mode` is `"rgb_array"` (pictures are returned) or `"human"` (shown in a window at up to
     `fps` pictures a second); `size` is (width, height) in pixels. In the window Escape or its close
-    button ends the showing: later scenes are ignored, the program goes on.
+    button ends the showing: later scenes are ignored, the program goes on. `memory` is another
+    renderer's, which this one continues.
 
-    Raises `ValueError` for another mode and `gymnasium.error.DependencyNotInstalled` without pygame.
+    Raises `ValueError` for an impossible argument, `gymnasium.error.DependencyNotInstalled` without
+    pygame, and, when it draws, `RuntimeError` where there is no display for a window.
     """
 
-    def __init__(self, render_mode: str, fps: float, size: tuple[int, int] = (960, 540)) -> None:
-        if render_mode not in ("rgb_array", "human"):
-            raise ValueError(f"render_mode = {render_mode!r}: expected 'rgb_array' or 'human'")
+    def __init__(
+        self,
+        render_mode: str,
+        fps: float,
+        size: tuple[int, int] = (960, 540),
+        memory: Memory | None = None,
+    ) -> None:
+        choice("render_mode", render_mode, ("rgb_array", "human"))
+        fps = number("fps", fps, 0.0)
+        require(
+            isinstance(size, tuple) and len(size) == 2, "size", size, "(width, height) in pixels"
+        )
+        size = (integer("width", size[0], 16, 16384), integer("height", size[1], 16, 16384))
         self._pygame = _pygame()
         from formation_env.rendering.hud import Hud
         from formation_env.rendering.painter import Painter
@@ -57,7 +79,14 @@ class Renderer:
         self._hud = Hud(size)
         self._follow = Follow()
         self._trail: deque[tuple[float, Floats]] = deque(maxlen=TRAIL_LENGTH)
+        if memory is not None:
+            self._trail.extend(memory.trail)
+            self._follow = copy.copy(memory.follow)
         self._window = _Window(self._pygame, fps, size) if render_mode == "human" else None
+
+    def memory(self) -> Memory:
+        """The trails and where the camera is."""
+        return Memory(tuple(self._trail), copy.copy(self._follow))
 
     def clear(self) -> None:
         """Forget the trails and where the camera was: a new episode begins."""
@@ -112,9 +141,7 @@ class _Window:
     def ready(self) -> bool:
         """Handle the user's input; whether there is a window to draw for."""
         if self._surface is None and not self._dismissed:
-            self._pygame.display.init()
-            self._surface = self._pygame.display.set_mode(self._size)
-            self._pygame.display.set_caption("Formation")
+            self._open()
         if self._surface is not None:
             for event in self._pygame.event.get():
                 escape = event.type == self._pygame.KEYDOWN and event.key == self._pygame.K_ESCAPE
@@ -122,6 +149,23 @@ class _Window:
                     self.close()
                     break
         return self._surface is not None
+
+    def _open(self) -> None:
+        display = self._pygame.display
+        try:
+            display.init()
+            # Without a display some builds of SDL draw a window that nobody can see.
+            chosen = any(name in os.environ for name in ("SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER"))
+            if not chosen and display.get_driver() in ("dummy", "offscreen"):
+                raise self._pygame.error("no display found")
+            self._surface = display.set_mode(self._size)
+            display.set_caption("Formation")
+        except self._pygame.error as error:
+            display.quit()
+            raise RuntimeError(
+                f"render_mode = 'human' cannot open a window ({error}): use render_mode='rgb_array', "
+                "which needs no display"
+            ) from error
 
     def show(self, picture: Any) -> None:
         self._surface.blit(picture, (0, 0))
