@@ -12,7 +12,7 @@ from gymnasium.envs.registration import EnvSpec
 from minari import DataCollector, MinariDataset, load_dataset
 
 import formation_env
-from formation_env import Noise, Vehicle, formations, trajectories
+from formation_env import Noise, Vehicle, formations, splines, trajectories
 
 SEED = 11
 DEFAULT = formation_env.configure()
@@ -22,6 +22,10 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "array": {"offsets": np.array([[1.0, 0.5, 0.0], [1.0, -0.5, 0.25], [2.0, 0.0, 0.0]])},
     "formation": {"offsets": formations.wedge(4), "neighbours": np.int64(1)},
     "trajectory": {"trajectory": trajectories.circle(radius=3.0, speed=0.7)},
+    "spline": {
+        "trajectory": splines.waypoints([0.0, 4.0, 8.0], [[0, 0, -2], [4, 1, -2], [8, 0, -1.5]]),
+        "duration": 8.0,
+    },
     "tuples": {
         "noise": Noise(0.01, 0.02, 0.05, 0.01, 0.02),
         "limits": DEFAULT.limits._replace(lost=5.0),
@@ -97,7 +101,8 @@ def test_round_trip(name: str) -> None:
     assert recovered.unwrapped.config == env.unwrapped.config
     assert recovered.observation_space == env.observation_space == data.observation_space
     assert recovered.action_space == env.action_space == data.action_space
-    assert recovered.spec.max_episode_steps == env.spec.max_episode_steps
+    steps = OPTIONS[name].get("max_episode_steps", env.unwrapped.config.max_steps)
+    assert recovered.spec.max_episode_steps == env.spec.max_episode_steps == steps
     repeat(data, recovered)
 
 
