@@ -89,7 +89,7 @@ def check_moments(vehicle: Vehicle, control_period: float, substep: float) -> No
     limit = 1.0 / (control_period * substep)
     for axis, (full, J) in enumerate(zip(vehicle.moment_max, vehicle.inertia, strict=True)):
         require(
-            full / J <= limit,
+            full / J <= limit * (1.0 + 1e-9),
             f"vehicle.moment_max[{axis}]",
             full,
             f"at most {limit * J:.3g} N m for inertia[{axis}] = {J:g} kg m^2: held for one "

@@ -205,9 +205,13 @@ def _first_not_real(value: Any) -> tuple[int, ...]:
     """Index of the first entry of a list of lists that is not made of numbers, or ()."""
     if not isinstance(value, (list, tuple)):
         return ()
-    widths = {len(row) for row in value if isinstance(row, (list, tuple, np.ndarray))}
+    widths = [len(row) for row in value if _listed(row)]
     for i, row in enumerate(value):
-        ragged = isinstance(row, (list, tuple, np.ndarray)) and len(widths) > 1
-        if _floats(row) is None or (ragged and len(row) != len(value[0])):
+        if _floats(row) is None or (_listed(row) and len(row) != widths[0]):
             return (i,)
     return ()
+
+
+def _listed(row: Any) -> bool:
+    """Whether an entry has entries of its own; an array without axes has none."""
+    return isinstance(row, (list, tuple)) or (isinstance(row, np.ndarray) and row.ndim > 0)

@@ -21,6 +21,7 @@ from formation_env.bounds import check_clock, check_moments, check_rate_loop
 from formation_env.checks import choice, integer, number, refuse, require
 from formation_env.feasibility import Feasibility, FeasibilityWarning, check, require_feasible
 from formation_env.gains import RATES_GAINS, PlannerGains, TrackerGains
+from formation_env.leader_path import require_flyable
 from formation_env.parts import part, rows
 from formation_env.plain_form import plain
 from formation_env.quadrotor import GRAVITY, MOMENT, RATES
@@ -35,6 +36,7 @@ from formation_env.world import RATE, REFERENCE, WRENCH, Clock, Gusts, Reach, Wo
 LEVELS = {"wrench": WRENCH, "rates": RATE, "reference": REFERENCE}
 ACTUATIONS = {"moment": MOMENT, "rates": RATES}
 MAX_FOLLOWERS = 4096
+_RESOLVED = 1000.0  # s
 _NEAREST = 1e-3  # m, least d_x: headings turn at up to V_L / d_x (23)
 
 NO_NOISE = Noise(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -124,6 +126,15 @@ class FormationConfig:
         self._check_dynamics()
         self._check_formation()
         self._check_starts()
+        require_flyable(
+            self.trajectory,
+            self.duration,
+            self.offsets,
+            self.leader_start,
+            self.follower_starts,
+            self.vehicle,
+            ACTUATIONS[self.leader_actuation],
+        )
         require_feasible(self.feasibility())
 
     def _store(self, name: str, value: Any) -> None:
@@ -148,10 +159,10 @@ class FormationConfig:
             period = number("measurement_period", self.measurement_period, 0.0)
             self._store("measurement_period", period)
         if self.leader_start is not None:
-            start = vector3("leader_start", self.leader_start, -ANYWHERE, ANYWHERE, strict=False)
+            start = vector3("leader_start", self.leader_start)
             self._store("leader_start", start)
         if self.follower_starts is not None:
-            starts = rows("follower_starts", self.follower_starts, ANYWHERE)
+            starts = rows("follower_starts", self.follower_starts)
             self._store("follower_starts", starts)
 
     # -- checks -----------------------------------------------------------------------------------
@@ -298,7 +309,7 @@ class FormationConfig:
 
     def feasibility(self) -> tuple[Feasibility, ...]:
         """Report on (23)-(30) for every follower along the leader's trajectory."""
-        return _feasibility(self.offsets, self.trajectory, self.duration)
+        return _feasibility(self.offsets, self.trajectory, _judged(self.trajectory, self.duration))
 
     def ground_starts(self) -> tuple[Vector, ...]:
         """Where the leader and the followers stand at the start on the ground, leader first."""
@@ -355,6 +366,13 @@ def quietly(make: Callable[..., FormationConfig], *args: Any, **given: Any) -> F
         return make(*args, **given)
 
 
+def _judged(trajectory: Trajectory, duration: float) -> float:
+    """Seconds of the path that are looked at, s: of one without an end that repeats itself, no more
+    than are resolved. A billion seconds in steps of hours would show inversions that there are not.
+    """
+    return min(duration, _RESOLVED) if trajectory.duration == inf else duration
+
+
 @lru_cache(maxsize=64)
 def _feasibility(
     offsets: tuple[Vector, ...], trajectory: Trajectory, duration: float
@@ -367,7 +385,8 @@ def _lowest(trajectory: Trajectory, duration: float) -> float:
     """Largest `p_z` (lowest point) of the reference, m; the floor is 0."""
     if trajectory.random is not None:
         return -trajectory.random.height + trajectory.random.climb
-    times = np.linspace(0.0, min(duration, trajectory.duration), 501)
+    span = _judged(trajectory, min(duration, trajectory.duration))
+    times = np.linspace(0.0, span, max(501, ceil(span / 0.04) + 1))
     return float(trajectory(times)[:, 0, 2].max())
 
 

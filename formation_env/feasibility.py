@@ -19,24 +19,25 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
-from math import asin, atan2, ceil, degrees, hypot, isfinite
+from math import asin, atan2, ceil, degrees, hypot
 from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from formation_env._jit import kernel
-from formation_env.checks import require
+from formation_env.checks import array, number, refuse, require, vector
 from formation_env.references import Floats
 from formation_env.slots import advance_heading
-from formation_env.trajectories import Trajectory, path_start
+from formation_env.tables import LARGEST
+from formation_env.trajectory import Trajectory, path_start
 
 Complexes = NDArray[np.complex128]
 
 STILL = 0.01  # m/s; a slower leader has no direction to compare with
 STEP = 0.01  # s, of the integration
-_MOST_STEPS = 100_000
-_MOST_SHOWN = 4  # reports in a message
+_MOST_STEPS = 100_000  # a longer flight is integrated for as long as these last
+_MOST_NAMED = 8  # followers in a message
 _DRAWS = 8  # paths of a random trajectory that are integrated
 
 
@@ -51,7 +52,7 @@ def equilibrium(d_x: float, curvature: float) -> float:
     `ValueError` for `|d_x kappa_L| > 1`, where the leader's circle is smaller than `d_x` and no
     heading is stable.
     """
-    product = d_x * curvature
+    product = number("d_x", d_x) * number("curvature", curvature)
     require(abs(product) <= 1.0, "d_x * curvature", product, "at most 1 in size (28)")
     return -asin(product)
 
@@ -61,14 +62,17 @@ def max_curvature(offset: ArrayLike) -> float:
 
     (29)-(30) ask for `arcsin(d_x kappa) < arctan |d_x / d_y|`; the sine of both sides gives
     `kappa < 1 / |(d_x, d_y)|`: the leader's circle must be larger than the follower's distance.
+    `offset` has shape `(3,)`, m. Raises `ValueError` where it is not finite, or level with the leader.
     """
-    d = np.asarray(offset, dtype=np.float64)
-    return 1.0 / hypot(d[0], d[1])
+    d = vector("offset", offset, 3)
+    apart = hypot(d[0], d[1])
+    require(apart >= 1e-9, "offset", d.tolist(), "(d_x, d_y) other than 0")
+    return 1.0 / apart
 
 
 def no_inversion(offset: ArrayLike, curvature: float) -> bool:
     """Whether the bound (29)-(30) holds for the largest curvature of the path, 1/m."""
-    return abs(curvature) < max_curvature(offset)
+    return abs(number("curvature", curvature)) < max_curvature(offset)
 
 
 @final
@@ -92,21 +96,19 @@ class Feasibility:
 
     def __str__(self) -> str:
         d_x, d_y, d_z = self.offset
-        limit = degrees(atan2(abs(d_x), abs(d_y)))
-        solvable = self.product_max <= 1.0
-        bound = f"{degrees(asin(self.product_max)):.1f} deg" if solvable else "undefined"
+        verdict = "moves backwards" if self.inverts else "moves forward everywhere"
         stable = "somewhere" if self.exists else "nowhere"
+        solvable = self.product_max <= 1.0
+        angle = f"{degrees(asin(self.product_max)):.1f} deg" if solvable else "undefined"
+        limit = f"arctan|d_x/d_y| = {degrees(atan2(abs(d_x), abs(d_y))):.1f} deg"
+        bound = f"below {limit}: never backwards" if self.bound_holds else f"not below {limit}"
+        worst = f"{degrees(self.worst_theta_d):.1f} deg"
         return "\n".join(
             (
-                f"follower {self.follower}, d = ({d_x:.3g}, {d_y:.3g}, {d_z:.3g}) m, "
-                f"largest curvature of the leader's path {self.curvature_max:.3g} 1/m:",
-                f"  (28)      |d_x kappa_L| up to {self.product_max:.3g}; "
-                f"a heading is stable {stable} (at most 1)",
-                f"  (29)-(30) arcsin|d_x kappa_L| up to {bound}, arctan|d_x/d_y| = "
-                f"{limit:.1f} deg: no inversion {'' if self.bound_holds else 'not '}guaranteed",
-                f"  (26)      integrated: |theta_d| up to {degrees(self.worst_theta_d):.1f} deg, "
-                f"u/V_L down to {self.least_speed_ratio:.3g}: "
-                f"{'inverts' if self.inverts else 'does not invert'}",
+                f"follower {self.follower}, d = ({d_x:.3g}, {d_y:.3g}, {d_z:.3g}) m, {verdict}",
+                f"  (28)      |d_x kappa_L| up to {self.product_max:.3g}: a heading is stable {stable}",
+                f"  (29)-(30) arcsin|d_x kappa_L| up to {angle}, {bound}",
+                f"  (26)      |theta_d| up to {worst}, u/V_L down to {self.least_speed_ratio:.3g}",
             )
         )
 
@@ -134,8 +136,10 @@ def _deviations(v: Complexes, step: float, d_x: float, start: complex, out: Comp
             R = advance_heading(R, v[i], v[i + 1], d_x, step)
 
 
-def _path(trajectory: Trajectory, duration: float, step: float) -> _Path:
-    count = min(ceil(duration / step), _MOST_STEPS)
+def _path(trajectory: Trajectory, duration: float, step: float, widest: float) -> _Path:
+    """The motion in steps of `step` s, longer where there would be too many, but not above `widest`."""
+    count = ceil(min(duration / step, _MOST_STEPS))
+    duration = min(duration, count * max(step, widest))
     motion = trajectory(np.linspace(0.0, duration, count + 1))
     v = motion[:, 1, 0] + 1j * motion[:, 1, 1]
     a = motion[:, 2, 0] + 1j * motion[:, 2, 1]
@@ -150,11 +154,12 @@ def _paths(trajectory: Trajectory, duration: float, d_x: float) -> list[_Path]:
     """The path, or some drawn ones; the step suits the fastest heading, `d_x / V_L`."""
     keys = range(_DRAWS if trajectory.random is not None else 1)
     curves = [trajectory.drawn(key) for key in keys]
-    coarse = [_path(curve, duration, STEP) for curve in curves]
+    coarse = [_path(curve, duration, STEP, 4.0 * STEP) for curve in curves]
     fastest = max(float(np.abs(path.velocity).max()) for path in coarse)
-    if STEP * fastest <= 0.1 * d_x:
+    if max(path.step for path in coarse) * fastest <= 0.1 * d_x:
         return coarse
-    return [_path(curve, duration, 0.1 * d_x / fastest) for curve in curves]
+    wanted = 0.1 * d_x / fastest
+    return [_path(curve, duration, min(STEP, wanted), 4.0 * wanted) for curve in curves]
 
 
 def _headings(paths: list[_Path], d_x: float) -> Complexes:
@@ -168,18 +173,22 @@ def _headings(paths: list[_Path], d_x: float) -> Complexes:
 
 
 def check(offsets: ArrayLike, trajectory: Trajectory, duration: float) -> tuple[Feasibility, ...]:
-    """A report per follower on the leader's path over `duration` seconds; raises for bad arguments.
+    """A report per follower on the leader's path over `duration` seconds.
+
+    `offsets` has shape `(followers, 3)`, m, with `d_x > 0`. Raises `ValueError` naming the argument.
 
     Each heading starts along the reference, as in II-E. A random trajectory is judged by the bound
     of its curvature and by a few of its draws, always the same ones. `u / V_L` is the first row of
     (25), `cos theta_d - (d_y / d_x) sin theta_d`. Moments in which the leader stands still are left
     out; just before and after them the curvature of a path may be large without harm.
     """
-    d = np.asarray(offsets, dtype=np.float64)
-    good = d.ndim == 2 and d.shape[1] == 3 and len(d) > 0 and bool(np.isfinite(d).all())
-    require(good, "offsets", offsets, "one row of 3 finite numbers per follower")
-    require(bool((d[:, 0] > 0.0).all()), "offsets", offsets, "d_x > 0 for every follower")
-    require(isfinite(duration) and duration > 0.0, "duration", duration, "a finite time above 0 s")
+    d = array("offsets", offsets, (None, 3), -LARGEST, LARGEST)
+    behind = np.flatnonzero(d[:, 0] < 1e-9)
+    if len(behind):
+        first = int(behind[0])
+        refuse(f"offsets[{first}]", d[first].tolist(), "d_x > 0, a leader ahead of every follower")
+    require(isinstance(trajectory, Trajectory), "trajectory", trajectory, "a Trajectory")
+    duration = number("duration", duration, 0.0, LARGEST)
     paths = _paths(trajectory, duration, float(d[:, 0].min()))
     curvature = np.abs(np.concatenate([path.curvature for path in paths]))
     least, largest = (float(curvature.min()), float(curvature.max())) if len(curvature) else (0, 0)
@@ -210,32 +219,43 @@ def _report(i: int, d: Floats, headings: Complexes, least: float, largest: float
     )
 
 
-def _text(reports: list[Feasibility]) -> str:
-    """The reports, worst first; of many followers only some."""
-    ordered = sorted(reports, key=lambda report: report.least_speed_ratio)
-    rest = len(ordered) - _MOST_SHOWN
-    more = [f"and {rest} more followers"] if rest > 0 else []
-    return "\n".join([str(report) for report in ordered[:_MOST_SHOWN]] + more)
+def _named(reports: list[Feasibility]) -> str:
+    """Who is meant; of many followers only the worst."""
+    worst = sorted(reports, key=lambda report: report.least_speed_ratio)[:_MOST_NAMED]
+    names = ", ".join(str(i) for i in sorted(report.follower for report in worst))
+    rest = f" and {len(reports) - len(worst)} more" if len(reports) > len(worst) else ""
+    return f"follower{'s' if len(reports) > 1 else ''} {names}{rest}"
 
 
 def require_feasible(reports: Iterable[Feasibility]) -> None:
-    """Refuse what cannot work, warn of what may not.
+    """Refuse what cannot work, warn of what may not, in one line.
 
     Raises `ValueError` if for some follower no heading is stable anywhere on the path (28); warns
-    with `FeasibilityWarning` if for some only the sufficient bound (29)-(30) fails.
+    with `FeasibilityWarning` if for some only the sufficient bound (29)-(30) fails, and says for which
+    the integration of (26) finds an inversion.
     """
     reports = tuple(reports)
     lost = [report for report in reports if not report.exists]
     if lost:
+        worst = max(lost, key=lambda report: report.offset[0])
         raise ValueError(
-            "no stable heading exists: the leader's circle is smaller than d_x everywhere on its "
-            "path (28); reduce d_x or take a wider path\n" + _text(lost)
+            f"no stable heading exists for {_named(lost)}: the leader's circle is smaller than "
+            f"d_x = {worst.offset[0]:.3g} m everywhere on its path (28); reduce d_x or take a wider path"
         )
     doubtful = [report for report in reports if not report.bound_holds]
     if doubtful:
-        warnings.warn(
-            "the bound (29)-(30), which rules out that a follower moves backwards, does not hold\n"
-            + _text(doubtful),
-            FeasibilityWarning,
-            stacklevel=2,
-        )
+        warnings.warn(_doubt(doubtful), FeasibilityWarning, stacklevel=2)
+
+
+def _doubt(reports: list[Feasibility]) -> str:
+    """Which followers fail the bound (29)-(30), by how much, and what integrating (26) found."""
+    worst = max(reports, key=lambda report: hypot(*report.offset[:2]))
+    inverting = [report for report in reports if report.inverts]
+    all_of_them = "they all do" if len(reports) > 1 else "it does"
+    found = "none does" if not inverting else f"{_named(inverting)} do"
+    found = all_of_them if len(inverting) == len(reports) else found
+    return (
+        f"the bound (29)-(30) against moving backwards does not hold for {_named(reports)}: "
+        f"|(d_x, d_y)| up to {hypot(*worst.offset[:2]):.3g} m, the leader turns with a radius of "
+        f"{1.0 / worst.curvature_max:.3g} m. Sufficient only: by integrating (26), {found}"
+    )

@@ -20,6 +20,7 @@ times and the formation bends in curves; each follower still keeps its own offse
 | `circle` in `xy` | a flat ring behind the leader              | 1 follower                 |
 
 Followers with `d_y > 0` see the leader on their right: they fly on its left.
+All give an array of shape `(n, 3)` for `n` up to 4,096 and raise `ValueError` naming the argument.
 """
 
 from __future__ import annotations
@@ -30,10 +31,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from formation_env.checks import require
+from formation_env.checks import array, choice, integer, number, require
 from formation_env.references import Floats
+from formation_env.tables import LARGEST
 
 Plane = Literal["xy", "yz"]
+_PLANES = ("xy", "yz")
+
+MAX_FOLLOWERS = 4096
 
 
 def paper_pair() -> Floats:
@@ -47,7 +52,8 @@ def stack(n: int, spacing: float = 0.7, ahead: float = 0.35, below: float = 0.3)
     However many there are, `|(d_x, d_y)|` stays small: no virtual follower inverts on a path on which
     the pair does not (29)-(30). Left and right are `spacing` m apart.
     """
-    _check(n, below, spacing=spacing, ahead=ahead)
+    n, below = _count("n", n), _height(below)
+    spacing, ahead = _length("spacing", spacing), _length("ahead", ahead)
     level, side = np.divmod(np.arange(n), 2)
     across = 0.5 * spacing * (1.0 - 2.0 * side)
     return _offsets(np.full(n, ahead), across, below - spacing * level)
@@ -58,7 +64,8 @@ def line(n: int, spacing: float = 0.7, ahead: float = 0.35, below: float = 0.3) 
 
     From left to right; `line(2)` is the paper's pair.
     """
-    _check(n, below, spacing=spacing, ahead=ahead)
+    n, below = _count("n", n), _height(below)
+    spacing, ahead = _length("spacing", spacing), _length("ahead", ahead)
     return _offsets(np.full(n, ahead), _abreast(n, spacing), np.full(n, below))
 
 
@@ -68,17 +75,18 @@ def wedge(n: int, spacing: float = 0.7, half_angle: float = pi / 4, below: float
     Left and right in turn; `half_angle` (rad, between 0 and pi/2) is that between an arm and the
     direction of flight. Wide wedges keep `d_x` small, which curves of the leader ask for (29)-(30).
     """
-    _check(n, below, spacing=spacing)
-    require(0.0 < half_angle < 0.5 * pi, "half_angle", half_angle, "between 0 and pi/2 rad")
+    n, spacing, below = _count("n", n), _length("spacing", spacing), _height(below)
+    angle = number("half_angle", half_angle)
+    require(0.0 < angle < 0.5 * pi, "half_angle", half_angle, "between 0 and pi/2 rad")
     rank = 1.0 + np.arange(n) // 2
     side = np.where(np.arange(n) % 2 == 0, 1.0, -1.0)
-    across = side * rank * spacing * sin(half_angle)
-    return _offsets(rank * spacing * cos(half_angle), across, np.full(n, below))
+    across = side * rank * spacing * sin(angle)
+    return _offsets(rank * spacing * cos(angle), across, np.full(n, below))
 
 
 def column(n: int, spacing: float = 0.7, below: float = 0.3) -> Floats:
     """One behind the other, `spacing` m apart, the first that far behind the leader. Not rigid."""
-    _check(n, below, spacing=spacing)
+    n, spacing, below = _count("n", n), _length("spacing", spacing), _height(below)
     return _offsets(spacing * (1.0 + np.arange(n)), np.zeros(n), np.full(n, below))
 
 
@@ -96,9 +104,9 @@ def grid(
     beyond one row. In `"yz"` they fly one above the other, all `ahead` m behind, from the top row
     down, the wall's middle `below` m below the leader: rigid, but keep its foot off the floor.
     """
-    _check(n, below, spacing=spacing, ahead=ahead)
-    _whole("columns", columns)
-    _plane(plane)
+    n, columns = _count("n", n), _count("columns", columns)
+    spacing, ahead, below = _length("spacing", spacing), _length("ahead", ahead), _height(below)
+    choice("plane", plane, _PLANES)
     row = np.arange(n) // columns
     across = np.concatenate(
         [_abreast(min(columns, n - first), spacing) for first in range(0, n, columns)]
@@ -116,8 +124,9 @@ def circle(
     In `"xy"` it lies flat and needs `ahead > radius`, so that all followers are behind the leader:
     not rigid. In `"yz"` it stands upright across the direction of flight: rigid.
     """
-    _check(n, below, radius=radius, ahead=ahead)
-    _plane(plane)
+    n, below = _count("n", n), _height(below)
+    radius, ahead = _length("radius", radius), _length("ahead", ahead)
+    choice("plane", plane, _PLANES)
     angle = 2.0 * pi * np.arange(n) / n
     if plane == "yz":
         down = below - radius * np.sin(angle)
@@ -157,24 +166,20 @@ def _abreast(n: int, spacing: float) -> Floats:
 
 
 def _rows(offsets: ArrayLike) -> Floats:
-    d = np.asarray(offsets, dtype=np.float64)
-    good = d.ndim == 2 and d.shape[1] == 3 and len(d) > 0 and bool(np.isfinite(d).all())
-    require(good, "offsets", offsets, "one row of 3 finite numbers per follower")
-    return d
+    """Offsets `(followers, 3)`, m."""
+    return array("offsets", offsets, (None, 3), -LARGEST, LARGEST)
 
 
-def _whole(name: str, value: object) -> None:
-    whole = isinstance(value, (int, np.integer)) and value >= 1
-    require(bool(whole), name, value, "a whole number from 1")
+def _count(name: str, value: int) -> int:
+    """A number of followers."""
+    return integer(name, value, 1, MAX_FOLLOWERS)
 
 
-def _check(n: int, below: float, **lengths: float) -> None:
-    _whole("n", n)
-    require(bool(np.isfinite(below)), "below", below, "a finite length, m")
-    for name, value in lengths.items():
-        good = bool(np.isfinite(value)) and value > 0.0
-        require(good, name, value, "a finite length above 0 m")
+def _length(name: str, value: float) -> float:
+    """A length above 0, m."""
+    return number(name, value, 0.0, LARGEST)
 
 
-def _plane(plane: str) -> None:
-    require(plane in ("xy", "yz"), "plane", plane, '"xy" or "yz"')
+def _height(below: float) -> float:
+    """The height of the leader above the followers, of either sign, m."""
+    return number("below", below, -LARGEST, LARGEST)

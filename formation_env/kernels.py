@@ -23,7 +23,8 @@ from formation_env.lanes import (
     copy,
     copy_on,
     count_finite,
-    doubtful,
+    doubtful_by_moment,
+    doubtful_by_rates,
     drive_by_moment,
     drive_by_rates,
     find_rows,
@@ -39,6 +40,7 @@ from formation_env.lanes import (
     locate,
     move_on,
     note_started,
+    note_unsound,
     number_samples,
     restore,
     see,
@@ -70,6 +72,7 @@ from formation_env.memory import (
     begin_of,
     counter,
     load,
+    load_turning,
     open_constants,
     open_scratch,
     open_state,
@@ -93,6 +96,7 @@ from formation_env.team import (
     settle,
 )
 from formation_env.trajectories import Reference, evaluate
+from formation_env.turning import Turning
 from formation_env.world import (
     RATE,
     REFERENCE,
@@ -125,7 +129,7 @@ def put_reference(x: Any, ref: Reference) -> None:
 
 @device
 def _refer(state: State, w: int, line: Any, kind: int, s: World) -> None:
-    """The leader's reference now, where it is not in the table: waiting, or on a path of its own."""
+    """The leader's reference now, where it is not in the table: waiting, or on a path of its own or long."""
     ref = hold_at(begin_of(state, w))
     if state.counters[STARTED, w] != 0:
         clock = state.counters[CLOCK, w] * s.clock.period
@@ -205,17 +209,16 @@ def _lead(
     table, lines, starts = carve(c.references, 0, (c.references.size,)), room.lines, room.rows_of
     copy(state.vehicles[t, 0], 3, room.before, 0, 2)
     copy(seen[0], 3, room.seen_before, 0, 2)
-    source = table
-    if len(table) > 0 and standing == 0:
-        find_rows(counter(state, CLOCK, t), REFERENCE_ROW, starts)
-    else:
+    source, rows = table, len(c.references)
+    beyond = find_rows(counter(state, CLOCK, t), rows, REFERENCE_ROW, starts)
+    if beyond > 0 or standing > 0:
         source = lines
         for lane in range(LANES):
             # The last world's where there is none, that nothing divides by zero.
             w = t * LANES + min(lane, here - 1)
             starts[lane] = lane * REFERENCE_ROW
             line = carve(lines, starts[lane], (REFERENCE_ROW,))
-            if state.counters[STARTED, w] != 0 and len(table) > 0:
+            if state.counters[STARTED, w] != 0 and state.counters[CLOCK, w] < rows:
                 row = carve(table, state.counters[CLOCK, w] * REFERENCE_ROW, (REFERENCE_ROW,))
                 for k in range(REFERENCE_ROW):
                     line[k] = row[k]
@@ -302,8 +305,21 @@ def _look_ahead(state: State, t: int, i: int, call: Call) -> None:
 
 
 @device
-def _fly(state: State, t: int, call: Call, room: Scratch, s: World) -> None:
+def _may_land(
+    x: Any, command: Any, push: Any, active: Any, actuation: int, turning: Turning, s: World
+) -> bool:
+    """Whether a vehicle may meet the floor in this tick in one of the active lanes; no is certain."""
+    period = s.clock.period
+    if actuation == MOMENT:
+        return doubtful_by_moment(x, command, push, active, period, s.airframe.mass, turning) > 0
+    h = period / s.clock.substeps
+    return doubtful_by_rates(x, command, push, active, period, h, s.airframe) > 0
+
+
+@device
+def _fly(state: State, c: Constants, t: int, call: Call, room: Scratch, s: World) -> None:
     """Fly all vehicles of tile `t` for one tick, sampling on the way."""
+    turning = load_turning(c.turning)
     h = s.clock.period / s.clock.substeps
     exact, plain = state.samples.shape[2] == 0, every_tick(s.clock)
     ahead = len(room.commands) <= CROWD and len(state.vehicles) > _FETCHED
@@ -320,7 +336,7 @@ def _fly(state: State, t: int, call: Call, room: Scratch, s: World) -> None:
         clear_touch(touch)
         if ahead:
             _look_ahead(state, t, i, call)
-        low = doubtful(x, command, push, room.active, s.clock.period, h, s.airframe.mass) > 0
+        low = _may_land(x, command, push, room.active, actuation, turning, s)
         for k in range(s.clock.substeps):
             if actuation == MOMENT and low:
                 fly_low_by_moment(x, command, push, h, s.airframe, touch)
@@ -332,6 +348,7 @@ def _fly(state: State, t: int, call: Call, room: Scratch, s: World) -> None:
                 fly_by_rates(x, command, push, h, s.airframe)
             if not plain and (not aligned or k + 1 == s.clock.substeps):
                 sense_when_due(state, t, i, room, k, s)
+        note_unsound(x, touch)
         if exact:
             if i == 0:  # nobody is told how a follower accelerates
                 sense_exactly(x, command, push, touch, s.airframe)
@@ -421,6 +438,7 @@ def _judge(
             state.followers[t, i],
             room.actions[i],
             room.touches[i + 1],
+            room.touches[0],
             room.active,
             task.action_size,
             s.rewards,
@@ -582,7 +600,7 @@ def _tick(
             _save(state, t, work)
         _lead(state, c, t, here, standing, seen, work, task.trajectory_kind, s.world)
         _command(state, t, seen, work, s.world)
-        _fly(state, t, call, work, s.world)
+        _fly(state, c, t, call, work, s.world)
         if kept:
             _put_back(state, t, work)
         _count(state, c, t, here, seen, work, s.world)

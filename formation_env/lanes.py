@@ -31,7 +31,6 @@ from formation_env.memory import (
     TERMS,
 )
 from formation_env.quadrotor import (
-    GRAVITY,
     MOMENT,
     RATES,
     Airframe,
@@ -47,6 +46,7 @@ from formation_env.slots import advance_heading, slot
 from formation_env.so3 import Vector, dot, pick, pick_vector, sub
 from formation_env.task import (
     ANYWHERE,
+    LEADER,
     NEAR,
     NO_FAILURE,
     RATE_BOUND,
@@ -60,6 +60,7 @@ from formation_env.task import (
     reward,
 )
 from formation_env.trajectories import Reference
+from formation_env.turning import Turning, slow_by_moment, slow_by_rates, stays_up
 from formation_env.world import (
     Action,
     Guide,
@@ -167,23 +168,58 @@ def _land(x: Any, flown: Body, touch: Any, lane: Any) -> None:
     touch[at(2, lane)] = pick(contact.touching, 1.0, 0.0)
 
 
-@loop
-def doubtful(
-    x: Any, command: Any, push: Any, active: Any, period: float, substep: float, mass: float
-) -> int:
-    """In how many active lanes a vehicle may meet the floor within `period`; 0 is certain.
+@device
+def _stays_up(x: Any, command: Any, push: Any, lane: Any, period: float, mass: float) -> bool:
+    z, v, down = x[at(2, lane)], x[at(5, lane)], push[at(2, lane)]
+    return stays_up(z, v, command[lane], down, period, mass)
 
-    Bounds the distance flown by the speed and twice the acceleration possible under the thrust held;
-    a vehicle that turns by more than a radian in a substep is not relied upon.
+
+@loop
+def doubtful_by_moment(
+    x: Any, command: Any, push: Any, active: Any, period: float, mass: float, turning: Turning
+) -> int:
+    """In how many active lanes a vehicle driven by moments may meet the floor in a tick of `period` seconds.
+
+    0 is certain, as `turning` proves.
     """
     count = 0
     for lane in range(_LANES):
-        w = load_vector(x, RATE_OF_TURN, lane)
-        a = 2.0 * abs(command[lane]) / mass + GRAVITY + abs(push[at(2, lane)])
-        lowest = x[at(2, lane)] + period * (abs(x[at(5, lane)]) + period * a)
-        safe = (lowest < 0.0) & (substep * substep * dot(w, w) < 1.0)
+        w, moment = load_vector(x, RATE_OF_TURN, lane), load_vector(command, 1, lane)
+        safe = _stays_up(x, command, push, lane, period, mass)
+        safe = safe & slow_by_moment(w, moment, turning)
         count += (active[lane] > 0.0) & (not safe)
     return count
+
+
+@loop
+def doubtful_by_rates(
+    x: Any, command: Any, push: Any, active: Any, period: float, substep: float, frame: Airframe
+) -> int:
+    """The same for a vehicle driven by rates, in substeps of `substep` seconds."""
+    count = 0
+    for lane in range(_LANES):
+        w, rates = load_vector(x, RATE_OF_TURN, lane), load_vector(command, 1, lane)
+        safe = _stays_up(x, command, push, lane, period, frame.mass)
+        safe = safe & slow_by_rates(w, rates, substep, frame.rate_lag)
+        count += (active[lane] > 0.0) & (not safe)
+    return count
+
+
+@loop
+def note_unsound(x: Any, touch: Any) -> None:
+    """NaN into row 3 of `touch` where a vehicle's state has left what can be computed, else 0.
+
+    A position that is not finite need not be looked for: it shows in the slot error.
+    """
+    for lane in range(_LANES):
+        v, w, q = (
+            load_vector(x, 3, lane),
+            load_vector(x, RATE_OF_TURN, lane),
+            _four(x, ATTITUDE, lane),
+        )
+        unit = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
+        sound = (dot(v, v) + dot(w, w) < np.inf) & (unit > 0.5)
+        touch[at(3, lane)] = pick(sound, 0.0, np.nan)
 
 
 @loop
@@ -238,10 +274,13 @@ def sort_out(named: Any, over: Any, started: Any, anew: int, active: Any, moving
 
 
 @loop
-def find_rows(clock: Any, length: int, starts: Any) -> None:
-    """Where each world's row of a table of rows of that length begins."""
+def find_rows(clock: Any, rows: int, length: int, starts: Any) -> int:
+    """Where each world's row of a table of `rows` rows of that length begins; how many lie beyond it."""
+    beyond = 0
     for lane in range(_LANES):
         starts[lane] = clock[lane] * length
+        beyond += clock[lane] >= rows
+    return beyond
 
 
 @loop
@@ -602,6 +641,7 @@ def judge(
     x: Any,
     action: Any,
     touch: Any,
+    leader: Any,
     active: Any,
     size: int,
     rewards: Rewards,
@@ -611,18 +651,21 @@ def judge(
 ) -> None:
     """Separation, reward, its terms and kind of failure into `out`; added up in `tally`.
 
-    Worlds that have not stepped earn nothing and their followers have not failed.
+    Worlds that have not stepped earn nothing and their followers have not failed. `touch` is of the follower,
+    `leader` of the leader: a follower that has not failed is told of the leader's crash, unpaid.
     """
     for lane in range(_LANES):
         on = active[lane] > 0.0
-        error = np.sqrt(out[at(ERROR_SQUARED, lane)])
+        # Rows 3 hold 0, or NaN where one of the two is no longer to be computed: then so is the error.
+        error = np.sqrt(out[at(ERROR_SQUARED, lane)]) + (touch[at(3, lane)] + leader[at(3, lane)])
         separation = np.sqrt(out[at(SEPARATION_SQUARED, lane)])
         out[at(SEPARATION, lane)] = separation
         why = failure(separation, touch[lane], touch[at(1, lane)], error, limits)
         a, b = _four(action, 0, lane), _four(x, PREVIOUS, lane)
         terms = reward(error, a, b, size, why != NO_FAILURE, rewards)
         total = terms.formation + terms.effort + terms.smoothness + terms.failure
-        failed = pick(on, float(why), 0.0)
+        crashed = (why == NO_FAILURE) & (leader[lane] > limits.impact)
+        failed = pick(on, pick(crashed, float(LEADER), float(why)), 0.0)
         out[at(REWARD, lane)] = pick(on, total, 0.0)
         out[at(TERMS, lane)] = pick(on, terms.formation, 0.0)
         out[at(TERMS + 1, lane)] = pick(on, terms.effort, 0.0)
@@ -670,8 +713,8 @@ def pick_four(condition: bool, a: Action, b: Action) -> Action:
 
 @device
 def _show(row: Any, k: int, lane: Any, value: float, bound: float) -> None:
-    """An entry of an observation, clipped, in single precision."""
-    row[at(k, lane)] = min(max(value, -bound), bound)
+    """An entry of an observation, clipped, in single precision; in this order NaN becomes `-bound`."""
+    row[at(k, lane)] = min(max(-bound, value), bound)
 
 
 @device

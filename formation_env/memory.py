@@ -20,6 +20,7 @@ from formation_env.sensors import Measured, Noise, silent
 from formation_env.so3 import Vector
 from formation_env.task import Limits, Rewards
 from formation_env.tracker import TrackerLaw
+from formation_env.turning import Turning, turning
 from formation_env.world import REFERENCE, Clock, Gusts, Reach, World, every_tick
 
 if TYPE_CHECKING:
@@ -91,9 +92,8 @@ class Constants(NamedTuple):
     offsets: Floats  # (n, 3): d
     starts: Floats  # (n+1, 3): where vehicles stand at the start on the ground
     drawing: Floats  # bounds of a random trajectory, or empty
-    references: (
-        Floats  # (max_steps + 1, 16): the leader's reference tick by tick, or empty if random
-    )
+    references: Floats  # (max_steps + 1, 16): the leader's reference tick by tick, or empty
+    turning: Floats  # Turning, flattened
 
 
 class Scratch(NamedTuple):
@@ -119,7 +119,9 @@ class Scratch(NamedTuple):
     )
     actions: Floats  # (n, 4 L): as executed
     commands: Floats  # (n+1, 4 L): thrust and turn of each vehicle
-    touches: Floats  # (n+1, 3 L): speed, uprightness of the hardest touch-down; touching now
+    touches: (
+        Floats  # (n+1, 4 L): hardest touch-down: speed, uprightness; touching now; NaN if unsound
+    )
     outcomes: Floats  # (n, 15 L): `OUTPUTS`, then the squares of slot error and separation
     nearest: Floats  # (K+1, 2 L): neighbours by squared distance and number; a candidate
     neighbours: Floats  # (n, K L): numbers of the nearest, -1 where there is none
@@ -182,6 +184,7 @@ class Sizes(NamedTuple):
     follower_rows: int  # S
 
 
+TURNING = 9  # numbers of a `Turning`
 REFERENCE_ROW = 16  # p, v, a, j, s and a number that makes it a whole number of vectors
 _SIZES = len(Sizes._fields)
 MAX_STEPS = Sizes._fields.index("max_steps")
@@ -240,6 +243,7 @@ def allocate(config: FormationConfig, worlds: int, max_steps: int, references: F
         config.ground_starts(),
         drawing,
         references,
+        flatten(turning(world.airframe, world.clock.period, world.clock.substeps)),
     )
     for array, values in zip(constants, fixed, strict=True):
         array[...] = np.asarray(values)
@@ -306,7 +310,8 @@ def views(memory: Floats) -> tuple[Constants, State]:
 
 def _constant_lengths(z: Sizes) -> tuple[int, ...]:
     n = z.vehicles - 1
-    return (z.settings, 3 * n, 3 * z.vehicles, z.drawing, REFERENCE_ROW * z.references)
+    references = REFERENCE_ROW * z.references
+    return (z.settings, 3 * n, 3 * z.vehicles, z.drawing, references, TURNING)
 
 
 def _state_lengths(z: Sizes) -> tuple[int, ...]:
@@ -335,7 +340,7 @@ def _scratch_lengths(z: Sizes) -> tuple[int, ...]:
         MEASURED_ROWS * V * L if z.delays > 1 else 0,
         4 * n * L,
         4 * V * L,
-        3 * V * L,
+        4 * V * L,
         _OUTCOME * n * L,
         2 * K * L,
         (K - 1) * n * L,
@@ -371,6 +376,7 @@ def open_constants(memory: Any, z: Any) -> Constants:
         carve(memory, at[2], (z[2], 3)),
         carve(memory, at[3], (z[8],)),
         carve(memory, at[4], (z[9], REFERENCE_ROW)),
+        carve(memory, at[5], (TURNING,)),
     )
 
 
@@ -446,7 +452,7 @@ def open_scratch(room: Any, state: State, z: Any) -> Scratch:
         seen,
         carve(room, at[16], (V - 1, 4 * L)),
         carve(room, at[17], (V, 4 * L)),
-        carve(room, at[18], (V, 3 * L)),
+        carve(room, at[18], (V, 4 * L)),
         carve(room, at[19], (V - 1, _OUTCOME * L)),
         carve(room, at[20], (K, 2 * L)),
         carve(room, at[21], (V - 1, (K - 1) * L)),
@@ -533,6 +539,12 @@ def unpack(x: Any) -> Settings:
         x[57],
     )
     return Settings(world, Rewards(x[58], x[59], x[60], x[61]), Limits(x[62], x[63], x[64], x[65]))
+
+
+@device
+def load_turning(x: Any) -> Turning:
+    """The inverse of `flatten` for a `Turning`."""
+    return Turning(load(x, 0), load(x, 3), x[6], x[7], x[8])
 
 
 @device

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
-from math import pi
+from math import inf, pi
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -50,8 +50,8 @@ _NUMBERS: dict[str, dict[str, Bounds]] = {
 }
 
 
-def rows(name: str, value: Any, bound: float) -> tuple[Vector, ...]:
-    """`value` as rows of three numbers in m, none larger than `bound` in size."""
+def rows(name: str, value: Any, bound: float = inf) -> tuple[Vector, ...]:
+    """`value` as rows of three finite numbers, none larger than `bound` in size."""
     table = array(name, value, (None, 3), -bound, bound, strict=False)
     return tuple((float(a), float(b), float(c)) for a, b, c in table)
 

@@ -25,6 +25,7 @@ START, TRAJECTORY, MEASUREMENT, GUST, POLICY = 0, 1, 2, 3, 4
 
 _LOW = np.uint64(0xFFFFFFFF)
 _HALF = np.uint64(32)
+_EIGHT = np.uint64(8)
 _M0, _M1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 _W0, _W1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
 _UNIT = 1.0 / 4294967296.0
@@ -44,15 +45,16 @@ def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, A
 def words(key: int, purpose: int, who: int, when: int, block: int) -> tuple[Any, Any, Any, Any]:
     """Four random words of 32 bits.
 
-    `key` identifies the episode, `purpose` what for, `who` the vehicle, `when` the tick or sample
-    (each below 2^32) and `block` distinguishes several draws of the same kind.
+    `key` identifies the episode, `purpose` what for, `who` the vehicle (each below 2^32), `when` the tick or
+    sample (below 2^56) and `block` (below 2^8) distinguishes several draws of the same kind. What of `when`
+    exceeds 32 bits goes into the word of `block`, which holds it above its own 8 bits.
     """
-    k = np.uint64(key)
+    k, t = np.uint64(key), np.uint64(when)
     return philox(
-        np.uint64(when),
+        t & _LOW,
         np.uint64(who),
         np.uint64(purpose),
-        np.uint64(block),
+        ((t >> _HALF) << _EIGHT) | np.uint64(block),
         k & _LOW,
         k >> _HALF,
     )

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 from functools import partial
-from typing import Any, NamedTuple, final
+from typing import Any, TypeVar, final
 
 import numpy as np
 from gymnasium.utils import seeding
@@ -22,7 +22,9 @@ from numpy.typing import NDArray
 from formation_env import kernels, memory
 from formation_env._jit import plain
 from formation_env.blocks import LANES
+from formation_env.checks import array, integer, require
 from formation_env.config import FormationConfig
+from formation_env.exclusive import Exclusive
 from formation_env.memory import (
     ATTITUDE,
     CLOCK,
@@ -35,6 +37,8 @@ from formation_env.memory import (
     Floats,
     Results,
 )
+from formation_env.snapshots import Snapshot as Snapshot  # as `simulation.Snapshot`
+from formation_env.snapshots import check_snapshot
 from formation_env.task import Layout
 from formation_env.team import Team, cores
 
@@ -42,20 +46,24 @@ from formation_env.team import Team, cores
 # that still looks out from half of that.
 _VEHICLES_PER_THREAD = 512
 
+_SINGLE = np.dtype(np.float32)
 
-class Snapshot(NamedTuple):
-    """The complete state of a simulation and what it is a state of."""
+A = TypeVar("A", bound=NDArray[Any])
 
-    config: FormationConfig
-    state: dict[str, NDArray[Any]]
+# Of longer episodes the leader's reference is evaluated in every tick instead of tabulated, 128 bytes each.
+TABULATED = 2**15  # ticks, 11 minutes at 50 Hz
 
 
 @final
 class Simulation:
     """`num_worlds` independent worlds of one configuration.
 
-    Rows of `actions` are float32 `(num_worlds, followers, action_size)`; results are fresh arrays.
-    Raises `ValueError` for a non-finite action, naming world and follower, before anything changes.
+    Rows of `actions` are float32 `(num_worlds, followers, action_size)`; results are fresh arrays, and what
+    the properties return are read-only copies. `threads` is how many may work on one call, and `max_steps`
+    truncates earlier than the configured duration. Raises `ValueError` for a non-finite action, naming
+    world and follower, before anything changes, and for impossible arguments.
+
+    One thread at a time: a call that comes while another thread's is at work raises `RuntimeError`.
     """
 
     def __init__(
@@ -65,37 +73,67 @@ class Simulation:
         threads: int = 1,
         max_steps: int | None = None,
     ) -> None:
-        self.config = config
-        self.max_steps = config.max_steps if max_steps is None else min(max_steps, config.max_steps)
-        self.num_worlds = num_worlds
-        self.threads = max(1, min(threads, num_worlds))
+        require(isinstance(config, FormationConfig), "config", config, "a FormationConfig")
+        num_worlds, threads = integer("num_worlds", num_worlds, 1), integer("threads", threads, 1)
+        self._config, self._num_worlds = config, num_worlds
+        self._max_steps = self._limited(config.max_steps if max_steps is None else max_steps)
+        self._asked = min(threads, num_worlds)
+        self._shape = (num_worlds, config.followers, config.action_size)
         self._tiles = memory.tiles(num_worlds)
         # A second thread has to have enough to do; below that it would cost more than it saves.
         work = 1 + num_worlds * (config.followers + 1) // _VEHICLES_PER_THREAD
-        self._threads = min(self.threads, self._tiles, work, cores())
+        self._threads = min(self._asked, self._tiles, work, cores())
         if numba_config.DISABLE_JIT:
             self._threads = 1  # Python has no atomics
         self._results = memory.Shapes(config, num_worlds).results
-        self.layout: Layout = config.layout
-        references = np.zeros((0, memory.REFERENCE_ROW))
-        if config.trajectory.random is None:
-            kind, table = config.trajectory.kind, config.trajectory.table
-            period = float(config.control_period)
-            references = kernels.reference_table(kind, table, period, config.max_steps)
-        self._memory = memory.allocate(config, num_worlds, self.max_steps, references)
+        self._memory = memory.allocate(config, num_worlds, self._max_steps, _references(config))
         self._state = memory.views(self._memory)[1]
         self._rooms = [memory.scratch(self._memory) for _ in range(self._threads)]
         self._everyone = np.ones(num_worlds, dtype=np.bool_)
         self._team: Team | None = None
         self._begun = False
+        self._alone = Exclusive()
+
+    # -- what it is: nothing of it can be assigned -----------------------------------------------------
+
+    @property
+    def config(self) -> FormationConfig:
+        """The configuration of all worlds."""
+        return self._config
+
+    @property
+    def num_worlds(self) -> int:
+        """How many worlds."""
+        return self._num_worlds
+
+    @property
+    def threads(self) -> int:
+        """How many threads were allowed, at most one for each world."""
+        return self._asked
+
+    @property
+    def max_steps(self) -> int:
+        """Control ticks after which an episode is truncated; see `limit`."""
+        return self._max_steps
+
+    @property
+    def layout(self) -> Layout:
+        """Names of the observation's entries."""
+        return self._config.layout
 
     # -- stepping ---------------------------------------------------------------------------------
 
     def seed(self, world: int, key: int) -> None:
-        """Give a world a new random stream; its next reset starts that stream's first episode."""
-        self._state.keys[world] = key
-        self._state.counters[EPISODE, world] = -1
-        self._begun = False
+        """Give a world a new random stream; its next reset starts that stream's first episode.
+
+        `key` has 64 bits: `seeded_key(seed)` makes one of a seed.
+        """
+        world = integer("world", world, 0, self._num_worlds - 1)
+        key = integer("key", key, 0, 2**64 - 1)
+        with self._alone:
+            self._state.keys[world] = key
+            self._state.counters[EPISODE, world] = -1
+            self._begun = False
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> Results:
         """Start a new episode in the worlds of `mask` (all by default)."""
@@ -108,6 +146,8 @@ class Simulation:
 
         Actions of worlds that are reset instead are not looked at.
         """
+        if actions.shape != self._shape or actions.dtype is not _SINGLE:
+            actions = self._rows(actions)
         if not actions.flags.carray:
             # Another layout or a read-only array would be another type, compiled for anew.
             actions = np.array(actions, order="C")
@@ -115,14 +155,31 @@ class Simulation:
 
     def look(self) -> Results:
         """What every follower sees now; changes nothing."""
-        nobody = np.zeros(self.num_worlds, dtype=np.bool_)
+        nobody = np.zeros(self._num_worlds, dtype=np.bool_)
         return self._run(kernels.RESET, self._no_actions(), nobody)
 
     def _no_actions(self) -> NDArray[np.float32]:
-        return np.zeros((1, self.config.followers, self.config.action_size), dtype=np.float32)
+        return np.zeros((1, self._config.followers, self._config.action_size), dtype=np.float32)
+
+    def _rows(self, actions: Any) -> NDArray[np.float32]:
+        found = f"{actions.dtype} {actions.shape}"
+        alike = actions.dtype == _SINGLE and actions.shape == self._shape
+        require(alike, "actions", found, f"float32 {self._shape}: (worlds, followers, entries)")
+        return np.array(actions, dtype=_SINGLE)
+
+    def _mask(self, mask: Any) -> NDArray[np.bool_]:
+        good = isinstance(mask, np.ndarray) and mask.dtype == np.bool_
+        require(
+            good and mask.shape == (self._num_worlds,), "mask", mask, f"{self._num_worlds} booleans"
+        )
+        return np.array(mask)
 
     def _run(self, mode: int, actions: NDArray[np.float32], mask: Any) -> Results:
-        mask = self._everyone if mask is None else mask
+        mask = self._everyone if mask is None else self._mask(mask)
+        with self._alone:
+            return self._advance(mode, actions, mask)
+
+    def _advance(self, mode: int, actions: NDArray[np.float32], mask: Any) -> Results:
         results = self._results(mode == kernels.STEP_AND_RESET)
         advance: Any = kernels.advance
         desk, bad = 0, -1
@@ -138,8 +195,8 @@ class Simulation:
         return results
 
     def _not_finite(self, actions: NDArray[np.float32], bad: int) -> ValueError:
-        world, follower = divmod(bad, self.config.followers)
-        where = f" of world {world}" if self.num_worlds > 1 else ""
+        world, follower = divmod(bad, self._config.followers)
+        where = f" of world {world}" if self._num_worlds > 1 else ""
         return ValueError(
             f"action of follower_{follower}{where} = {actions[world, follower].tolist()}: "
             "expected finite numbers"
@@ -149,7 +206,7 @@ class Simulation:
         """The threads, started when first needed."""
         # Threads do not survive a fork: they are not in the child.
         if self._team is None or self._team.owner != os.getpid():
-            config = self.config
+            config = self._config
             actions = np.zeros((0, config.followers, config.action_size), dtype=np.float32)
             nobody, nothing = np.zeros(0, dtype=np.bool_), memory.Shapes(config, 0).results(True)
             serve: Any = kernels.advance
@@ -163,25 +220,30 @@ class Simulation:
 
     def close(self) -> None:
         """Stop the threads, if any were started."""
-        if self._team is not None:
-            self._team.close()
-        self._team = None
+        with self._alone:
+            if self._team is not None:
+                self._team.close()
+            self._team = None
 
     def limit(self, max_steps: int) -> None:
         """Truncate episodes after so many ticks, or at the configured duration if that is earlier."""
-        self.max_steps = min(max_steps, self.config.max_steps)
-        plain(memory.size_numbers)(self._memory)[memory.MAX_STEPS] = self.max_steps
+        with self._alone:
+            self._max_steps = self._limited(max_steps)
+            plain(memory.size_numbers)(self._memory)[memory.MAX_STEPS] = self._max_steps
 
-    # -- looking in -------------------------------------------------------------------------------
+    def _limited(self, max_steps: int) -> int:
+        return min(integer("max_steps", max_steps, 1), self._config.max_steps)
+
+    # -- looking in: all arrays are read-only -------------------------------------------------------
 
     def _counter(self, which: int) -> NDArray[np.int64]:
         """One of the counters of all worlds, in place."""
-        row: NDArray[np.int64] = self._state.counters[which, : self.num_worlds]
+        row: NDArray[np.int64] = self._state.counters[which, : self._num_worlds]
         return row
 
     @property
     def _vehicles(self) -> Floats:
-        return memory.by_world(self._state.vehicles, self.num_worlds)
+        return _fixed(memory.by_world(self._state.vehicles, self._num_worlds))
 
     @property
     def positions(self) -> Floats:
@@ -192,7 +254,7 @@ class Simulation:
     def leaders(self) -> Floats:
         """True positions of the leaders alone, `(num_worlds, 3)`, m, inertial."""
         rows = self._state.vehicles[:, 0, : 3 * LANES].reshape(-1, 3, LANES)
-        return rows.transpose(0, 2, 1).reshape(-1, 3)[: self.num_worlds]
+        return _fixed(np.array(rows.transpose(0, 2, 1).reshape(-1, 3)[: self._num_worlds]))
 
     @property
     def velocities(self) -> Floats:
@@ -212,17 +274,17 @@ class Simulation:
     @property
     def slots(self) -> Floats:
         """Where the followers should be, `(num_worlds, followers, 3)`, m, inertial."""
-        return self.look().outputs[..., SLOT : SLOT + 3]
+        return _fixed(self.look().outputs)[..., SLOT : SLOT + 3]
 
     @property
     def started(self) -> NDArray[Any]:
         """Whether the trigger (40) has fired, per world."""
-        return np.not_equal(self._counter(STARTED), 0)
+        return _fixed(np.not_equal(self._counter(STARTED), 0))
 
     @property
     def seeded(self) -> NDArray[np.bool_]:
         """Whether an episode has been started since the last `seed`, per world."""
-        return self._counter(EPISODE) >= 0
+        return _fixed(np.greater_equal(self._counter(EPISODE), 0))
 
     @property
     def begun(self) -> bool:
@@ -237,61 +299,74 @@ class Simulation:
     @property
     def over(self) -> NDArray[Any]:
         """Whether the episode has ended, per world."""
-        return np.not_equal(self._counter(OVER), 0)
+        return _fixed(np.not_equal(self._counter(OVER), 0))
 
     @property
     def time(self) -> NDArray[Any]:
         """Time since reset, s, per world."""
-        return self._counter(TICK) * self.config.control_period
+        return _fixed(self._counter(TICK) * self._config.control_period)
 
     @property
     def clock(self) -> NDArray[Any]:
         """Time since the trigger (40), s, per world: the argument of the leader's reference."""
-        return self._counter(CLOCK) * self.config.control_period
+        return _fixed(self._counter(CLOCK) * self._config.control_period)
 
     def reference(self, times: Floats, world: int = 0) -> Floats:
         """The leader's reference positions at `times` since the trigger, `(N, 3)`, m, inertial."""
+        world = integer("world", world, 0, self._num_worlds - 1)
         tables = self._state.tables
         table = tables[world if len(tables) > 1 else 0]
-        return kernels.reference_path(self.config.trajectory.kind, table, np.asarray(times))
+        return kernels.reference_path(
+            self._config.trajectory.kind, table, array("times", times, (None,))
+        )
 
     # -- saving -----------------------------------------------------------------------------------
 
     def get_state(self) -> Snapshot:
         """Everything needed to continue identically, as copies."""
-        arrays = {name: array.copy() for name, array in self._state._asdict().items()}
-        return Snapshot(self.config, arrays)
+        with self._alone:
+            arrays = {name: own.copy() for name, own in self._state._asdict().items()}
+        return Snapshot(self._config, arrays)
 
     def set_state(self, snapshot: Snapshot) -> None:
         """Continue from a snapshot of the same configuration and number of worlds.
 
-        Raises `ValueError` if it comes from another, leaving this simulation as it was.
+        Raises `ValueError` if it comes from another or holds what no flight leads to: counters out of range,
+        numbers that are not finite or attitudes that are none in an episode that goes on. This simulation
+        is then as it was.
         """
-        if not isinstance(snapshot, Snapshot):
-            raise ValueError(
-                f"state is a {type(snapshot).__name__}: expected what get_state returned"
-            )
-        if snapshot.config != self.config:
-            raise ValueError("state was saved under another configuration than this environment's")
-        own = self._state._asdict()
-        for name, array in own.items():
-            saved = snapshot.state.get(name)
-            if saved is None or saved.shape != array.shape or saved.dtype != array.dtype:
-                found = "missing" if saved is None else f"{saved.dtype} {saved.shape}"
-                raise ValueError(
-                    f"state[{name!r}] is {found}: expected {array.dtype} {array.shape}"
-                )
-        for name, array in own.items():
-            array[...] = snapshot.state[name]
-        self._begun = False
+        with self._alone:
+            check_snapshot(snapshot, self._config, self._state, self._num_worlds)
+            for name, own in self._state._asdict().items():
+                own[...] = snapshot.state[name]
+            self._begun = False
 
     def __getstate__(self) -> dict[str, Any]:
         # The state's arrays are views, which a copy would cut off from the memory they show.
-        return {**self.__dict__, "_team": None, "_state": None}
+        with self._alone:
+            numbers = self._memory.copy()
+        left = {"_team": None, "_state": None, "_memory": numbers}
+        return {**self.__dict__, **left}
 
     def __setstate__(self, saved: dict[str, Any]) -> None:
         self.__dict__.update(saved)
         self._state = memory.views(self._memory)[1]
+
+
+def _references(config: FormationConfig) -> Floats:
+    """The leader's reference tick by tick; empty if it is drawn anew each episode, or the episode is long."""
+    path, steps = config.trajectory, config.max_steps
+    if path.random is not None or steps > TABULATED:
+        return np.zeros((0, memory.REFERENCE_ROW))
+    period = float(config.control_period)
+    table: Floats = kernels.reference_table(path.kind, path.table, period, steps)
+    return table
+
+
+def _fixed(values: A) -> A:
+    """The array, read-only: writing into a copy would change nothing."""
+    values.setflags(write=False)
+    return values
 
 
 def _serve(advance: Any, arguments: tuple[Any, ...], desk: int, member: int) -> None:

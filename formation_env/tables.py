@@ -13,13 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from formation_env.checks import array, choice, integer, require
+from formation_env.checks import array, choice, integer, number, refuse, require
 from formation_env.references import LEMNISCATE, SINES, SPLINE, TERMS, Floats
 
 LARGEST = 1e15  # m, m/s, m/s^2, m/s^3, m/s^4, rad/s and s
 MOST_HARMONICS = 1000  # sines per axis
 MOST_ROWS = 100_000  # break points of a spline: a thousand seconds at 100 Hz
 KINDS = {"sines": SINES, "lemniscate": LEMNISCATE, "spline": SPLINE}
+ABOVE_FLOOR = "a point above the floor: z points down, so that 1.5 m above it is p_z = -1.5"
 
 _ORDERS = ("position", "velocity", "acceleration", "jerk", "snap")
 _UNITS = ("m", "m/s", "m/s^2", "m/s^3", "m/s^4")
@@ -39,11 +40,18 @@ def checked(name: str, kind: int, value: Any) -> Floats:
     return table
 
 
+def reach(kind: int, table: Floats, duration: float = 0.0) -> Floats:
+    """Bounds of the norms of position (from the origin) to snap in the first `duration` seconds.
+
+    From the sizes of all terms, without looking at the path: it may stay far below them.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _REACH[kind](table, duration)
+
+
 def require_finite(path: str, kind: int, table: Floats) -> None:
     """Refuse a checked table whose path has a derivative beyond `LARGEST`; `path` is its name."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        reach = _REACH[kind](table)
-    for order, unit, most in zip(_ORDERS, _UNITS, reach, strict=True):
+    for order, unit, most in zip(_ORDERS, _UNITS, reach(kind, table), strict=True):
         expected = f"at most {LARGEST:g} {unit}: a slower, wider or nearer path"
         require(bool(most <= LARGEST), f"{order} of path {path}", float(most), expected)
 
@@ -65,33 +73,36 @@ def _count(name: str, table: Floats, most: int, what: str) -> int:
 def _check_sines(name: str, table: Floats) -> None:
     harmonics = _count(name, table, MOST_HARMONICS, "sines per axis")
     _length(name, table, 7 + 9 * harmonics, f"{harmonics} sines per axis")
+    # A rate or phase beyond them is none that a sine can be taken of, whatever its amplitude.
+    large = np.flatnonzero(np.abs(table) > LARGEST)
+    if len(large):
+        refuse(f"{name}[{large[0]}]", float(table[large[0]]), f"at most {LARGEST:g} in size")
 
 
-def _reach_sines(table: Floats) -> Floats:
-    """Bounds of the derivatives: the sums of the amplitudes times powers of their rates."""
+def _reach_sines(table: Floats, duration: float) -> Floats:
+    """The sums of the amplitudes times powers of their rates, beside centre and drift."""
     waves = np.abs(table[7:].reshape(-1, 3))
     powers = waves[:, 1] ** np.arange(5.0)[:, None]
-    reach: Floats = (waves[:, 0] * powers).sum(axis=1)
-    reach[0] += np.abs(table[1:4]).max()
-    # The drift times the longest time is not a bound of the path but has to be a number, as has the
-    # phase, whether or not its sine has an amplitude.
-    reach[1] += max(np.abs(table[4:7]).max(), waves[:, 1:].max())
-    return reach
+    sums: Floats = (waves[:, 0] * powers).sum(axis=1)
+    drift = np.linalg.norm(table[4:7])
+    sums[0] += np.linalg.norm(table[1:4]) + drift * duration
+    sums[1] += drift
+    return sums
 
 
 def _check_lemniscate(name: str, table: Floats) -> None:
     _length(name, table, 5, "size, speed, height, cos and sin of the turn")
-    for i, what in enumerate(("size, m,", "speed, m/s,", "height, m,")):
-        require(table[i] > 0.0, f"{name}[{i}]", float(table[i]), f"the {what} above 0")
+    for i, what in enumerate(("size", "speed", "height")):
+        number(f"{name}[{i}] ({what})", float(table[i]), 0.0, LARGEST)
     turned = abs(np.hypot(table[3], table[4]) - 1.0) <= 1e-9
     require(turned, f"{name}[3:5]", table[3:5].tolist(), "cos and sin of the turn")
 
 
-def _reach_lemniscate(table: Floats) -> Floats:
+def _reach_lemniscate(table: Floats, duration: float) -> Floats:
     """`|z''| <= 3 V c`, and so on from the formulas of `references`, with `c = V / a`."""
     c = table[1] / table[0]
     rates = np.array([1.0, 3.0 * c, 12.0 * c * c, 60.0 * c * c * c])
-    return np.append(max(table[0], table[2], c), table[1] * rates)
+    return np.append(np.hypot(table[0], table[2]), table[1] * rates)
 
 
 def _check_spline(name: str, table: Floats) -> None:
@@ -101,23 +112,27 @@ def _check_spline(name: str, table: Floats) -> None:
     steps = np.diff(table[1 : pieces + 2])
     at = int(np.argmin(steps))
     require(bool(steps[at] > 0.0), f"{name}[{at + 2}]", float(table[at + 2]), "rising break points")
+    ends = max(-table[1], table[pieces + 1], 0.0)
+    require(
+        bool(ends <= LARGEST), f"{name}: last break point", float(ends), f"at most {LARGEST:g} s"
+    )
+    # Horner's scheme meets the coefficients without the powers that make them small.
+    large = np.flatnonzero(np.abs(table) > 1e300)
+    if len(large):
+        refuse(f"{name}[{large[0]}]", float(table[large[0]]), "at most 1e300 in size")
 
 
-def _reach_spline(table: Floats) -> Floats:
-    """Bounds of the derivatives: the sums of the sizes of all terms at the ends of the pieces."""
+def _reach_spline(table: Floats, duration: float) -> Floats:
+    """The sums of the sizes of all terms at the ends of the pieces."""
     pieces = int(table[0])
-    breaks = table[1 : pieces + 2]
     terms = np.abs(table[pieces + 2 :].reshape(pieces, 3, TERMS))
-    powers = np.diff(breaks)[:, None] ** np.arange(TERMS)
-    reach = []
+    powers = np.diff(table[1 : pieces + 2])[:, None] ** np.arange(TERMS)
+    sums = []
     for k in range(5):
         factors = [perm(m, k) for m in range(k, TERMS)]  # the k-th derivative of t^m
         sizes = np.einsum("iam,im->ia", terms[:, :, k:], factors * powers[:, : TERMS - k])
-        reach.append(sizes.max())
-    reach[0] = max(reach[0], np.abs(breaks).max())
-    # Horner's scheme meets all terms without their powers too.
-    reach[4] = max(reach[4], terms.max() * 1e-200)
-    return np.array(reach)
+        sums.append(np.sqrt((sizes * sizes).sum(axis=1)).max())
+    return np.array(sums)
 
 
 _CHECKS: dict[int, Callable[[str, Floats], None]] = {
@@ -125,7 +140,7 @@ _CHECKS: dict[int, Callable[[str, Floats], None]] = {
     LEMNISCATE: _check_lemniscate,
     SPLINE: _check_spline,
 }
-_REACH: dict[int, Callable[[Floats], Floats]] = {
+_REACH: dict[int, Callable[[Floats, float], Floats]] = {
     SINES: _reach_sines,
     LEMNISCATE: _reach_lemniscate,
     SPLINE: _reach_spline,

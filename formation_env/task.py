@@ -17,8 +17,9 @@ from formation_env.slots import in_frame
 from formation_env.so3 import Rotation, Vector, dot, rotation, sub
 from formation_env.world import REFERENCE, Action, Guide
 
-NO_FAILURE, COLLISION, IMPACT, LOST = 0, 1, 2, 3
-FAILURES = ("none", "collision", "impact", "lost")
+# How a follower's episode ended. LEADER: the leader crashed, which is nobody's failure and paid by nobody.
+NO_FAILURE, COLLISION, IMPACT, LOST, LEADER = 0, 1, 2, 3, 4
+FAILURES = ("none", "collision", "impact", "lost", "leader")
 
 
 class Observation(NamedTuple):
@@ -168,7 +169,7 @@ def failure(
     """How a follower failed in this tick, if it did.
 
     Distances in m, `speed` of the hardest touch-down in m/s (0 in the air), its `uprightness` r3 . k.
-    A speed that is not a number counts as lost: the state has left what can be computed.
+    An error that is not a number counts as lost: the state has left what can be computed.
     """
     crashed = (speed > limits.impact) | ((speed > 0.0) & (uprightness < limits.tilt))
     lost = not error <= limits.lost
@@ -188,7 +189,8 @@ def reward(
         smoothness = -smoothness |a - a_prev|^2 / size
         failure    = -failure, once
 
-    `error` is the true slot error in m, `size` the number of entries an action has.
+    `error` is the true slot error in m, `size` the number of entries an action has. An error that is not a
+    number earns nothing.
     """
     x = error / weights.scale
     b = (
@@ -198,7 +200,7 @@ def reward(
         action[3] - previous[3],
     )
     return Terms(
-        1.0 / (1.0 + x * x),
+        max(0.0, 1.0 / (1.0 + x * x)),  # in this order 0 for NaN
         -weights.effort * _square(action) / size,
         -weights.smoothness * _square(b) / size,
         -weights.failure if failed else 0.0,

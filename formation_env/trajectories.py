@@ -28,7 +28,7 @@ from formation_env.references import (
     start_direction,
 )
 from formation_env.splines import from_samples, waypoints
-from formation_env.tables import LARGEST
+from formation_env.tables import ABOVE_FLOOR, LARGEST
 from formation_env.trajectory import Trajectory, path_start
 
 __all__ = [
@@ -77,7 +77,6 @@ def _pair(name: str, value: Any) -> Any:
 
 
 _STILL = (0.0, 0.0, 0.0)
-_ABOVE_FLOOR = "a point above the floor: z points down, so that 1.5 m above it is p_z = -1.5"
 
 
 def figure_eight(
@@ -133,7 +132,7 @@ def line(
 def hover(position: tuple[float, float, float] = (0.0, 0.0, -1.5)) -> Trajectory:
     """A point, m, north-east-down, above the floor (`p_z < 0`)."""
     p = vector("position", position, 3, -LARGEST, LARGEST)
-    require(p[2] < 0.0, "position", position, _ABOVE_FLOOR)
+    require(p[2] < 0.0, "position", position, ABOVE_FLOOR)
     return _sum_of_sines("hover", p, _STILL, [_STILL, _STILL, _STILL])
 
 

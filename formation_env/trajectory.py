@@ -64,7 +64,8 @@ class Trajectory:
     random: RandomSmooth | None = None
 
     def __post_init__(self) -> None:
-        require(isinstance(self.name, str), "name", self.name, "the trajectory's name")
+        short = isinstance(self.name, str) and len(self.name) <= 64
+        require(short, "name", self.name, "the trajectory's name, of at most 64 characters")
         kind = tables.checked_kind("kind", self.kind)
         table = tables.checked("table", kind, self.table)
         tables.require_finite(shown(self.name), kind, table)

@@ -47,6 +47,10 @@ Action = tuple[float, float, float, float]
 
 WRENCH, RATE, REFERENCE = 0, 1, 2  # what a policy commands
 
+# Most ticks in an episode: a float counts them exactly, and a random draw's counter holds the number of the
+# sample with up to 1,000 substeps, and measurements, in each. At 50 Hz it is 700 years.
+MAX_TICKS = 2**40
+
 
 class Clock(NamedTuple):
     """The rhythms of a world, all whole numbers of substeps."""

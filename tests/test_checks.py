@@ -86,6 +86,8 @@ MASKED = np.ma.masked_array([[1.0, 2.0, 3.0]], mask=[[False, True, False]])
         ([[0, 0, 0], [0, "1", -1]], r"^p\[1\] = \[0, '1', -1\]: expected rows of 3"),
         ([[0, 0, 0], [0, 1j, -1]], r"^p\[1\] = \[0, 1j, -1\]: expected rows of 3"),
         ([[0, 0, 0], [0, 0]], r"^p\[1\] = \[0, 0\]: expected rows of 3"),
+        ([1.0, [1.0, 2.0], [3.0]], r"^p\[2\] = \[3.0\]: expected rows of 3"),
+        ([np.zeros(()), [0, True, 0]], r"^p\[1\] = \[0, True, 0\]: expected rows of 3"),
         ([[0, 0, 0], [0, 10**400, 0]], r"^p\[1\] = \[0.0, inf, 0.0\]: expected finite"),
         ([], r"^p = \[\]: expected rows of 3 finite numbers$"),
         ([0.0, 0.0, 0.0], r"^p = \[0.0, 0.0, 0.0\]: expected rows of 3"),

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import warnings
-from math import asin, atan, inf, nan, pi, sin
+from collections.abc import Callable
+from math import asin, atan, nan, pi, sin
+from typing import Any
 
 import numpy as np
 import pytest
 from closed_loop import PROPERTY
+from hostile import NOT_NUMBERS, NOT_ROWS
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from formation_env import feasibility, formations, splines, trajectories
+from formation_env import configure, feasibility, formations, splines, trajectories
+from formation_env.checks import LONGEST
 from formation_env.feasibility import Feasibility, FeasibilityWarning
 from formation_env.trajectories import Trajectory
 
@@ -58,7 +62,7 @@ def test_equilibrium_stands_still_and_is_stable(d_x: float, product: float) -> N
     assert rate(theta - 0.01) >= 0.0 or abs(product) > 0.99
 
 
-@pytest.mark.parametrize(("d_x", "curvature"), [(0.5, 2.1), (0.5, -2.1), (0.5, nan)])
+@pytest.mark.parametrize(("d_x", "curvature"), [(0.5, 2.1), (0.5, -2.1), (1e200, 1e200)])
 def test_no_equilibrium_on_a_circle_smaller_than_d_x(d_x: float, curvature: float) -> None:
     with pytest.raises(ValueError, match=r"d_x \* curvature = .*at most 1"):
         feasibility.equilibrium(d_x, curvature)
@@ -165,7 +169,8 @@ def test_the_papers_pair_on_31_fails_the_bound_and_never_inverts() -> None:
     with pytest.warns(FeasibilityWarning, match=r"\(29\)-\(30\).*does not hold") as caught:
         feasibility.require_feasible(reports)
     text = str(caught[0].message)
-    assert "does not invert" in text and text.count("follower") >= 2
+    assert "for followers 0, 1: |(d_x, d_y)| up to 0.495 m" in text
+    assert "radius of 0.418 m" in text and text.endswith("(26), none does")
 
 
 def test_the_papers_pair_on_70_meets_the_bound() -> None:
@@ -181,7 +186,11 @@ def test_a_far_follower_inverts() -> None:
     report = one((0.35, 3.0, 0.0), trajectories.figure_eight(), 30.0)
     assert report.inverts and not report.bound_holds
     assert report.least_speed_ratio < -0.5
-    assert "inverts" in str(report)
+    assert str(report).startswith("follower 0, d = (0.35, 3, 0) m, moves backwards\n")
+    with pytest.warns(
+        FeasibilityWarning, match=r"does not hold for follower 0: .*\(26\), it does$"
+    ):
+        feasibility.require_feasible([report])
 
 
 def test_no_stable_heading_is_an_error() -> None:
@@ -189,7 +198,9 @@ def test_no_stable_heading_is_an_error() -> None:
     curve = trajectories.circle(1.0, 0.5)
     reports = feasibility.check([(0.3, 0.0, 0.0), (1.2, 0.0, 0.0)], curve, 20.0)
     assert [report.exists for report in reports] == [True, False]
-    with pytest.raises(ValueError, match=r"no stable heading(?s:.)*follower 1"):
+    with pytest.raises(
+        ValueError, match=r"no stable heading exists for follower 1: .* d_x = 1\.2 m .*\(28\)"
+    ):
         feasibility.require_feasible(reports)
     assert one((0.9, 0.0, 0.0), curve, 20.0).exists
     # Too tight at its ends, straight in its middle: stable somewhere.
@@ -236,17 +247,90 @@ def test_many_followers_are_reported_in_order() -> None:
         assert reports[i].worst_theta_d == pytest.approx(alone.worst_theta_d, abs=1e-3)
         assert reports[i].least_speed_ratio == pytest.approx(alone.least_speed_ratio, abs=1e-3)
         assert reports[i].bound_holds == alone.bound_holds
-    with pytest.warns(FeasibilityWarning, match=r"and \d+ more followers"):
+    with pytest.warns(
+        FeasibilityWarning, match=r"followers (\d+, ){7}\d+ and \d+ more: "
+    ) as caught:
         feasibility.require_feasible(reports)
+    assert len(str(caught[0].message)) <= LONGEST
+
+
+def test_a_formation_of_seven_prints_one_line() -> None:
+    with pytest.warns(FeasibilityWarning) as caught:
+        configure(offsets=formations.wedge(7))
+    (text,) = (str(one.message) for one in caught)
+    assert "\n" not in text and len(text) <= 300
+    assert text.endswith("(26), they all do")
 
 
 def test_the_report_reads_well() -> None:
     text = str(one((0.35, -0.35, -0.3), trajectories.figure_eight(), 30.0)).splitlines()
-    assert text[0].startswith("follower 0, d = (0.35, -0.35, -0.3) m")
+    assert text[0] == "follower 0, d = (0.35, -0.35, -0.3) m, moves forward everywhere"
     assert [line.split()[0] for line in text[1:]] == ["(28)", "(29)-(30)", "(26)"]
-    assert "57.0 deg" in text[2] and "45.0 deg: no inversion not guaranteed" in text[2]
+    assert text[2].endswith("up to 57.0 deg, not below arctan|d_x/d_y| = 45.0 deg")
+    good = str(one((0.35, -0.35, -0.3), trajectories.lemniscate(), 30.0))
+    assert (
+        "arcsin|d_x kappa_L| up to 44.4 deg, below arctan|d_x/d_y| = 45.0 deg: never backwards"
+        in good
+    )
+    assert "not" not in good.split() and "no" not in good.split()
     tight = str(one((1.5, 0.0, 0.0), trajectories.figure_eight(), 30.0))
-    assert "undefined" in tight
+    assert "up to undefined, not below" in tight
+    for report in (good, tight, *text):
+        assert max(map(len, report.splitlines())) <= 100
+
+
+def test_a_flight_of_years_is_integrated_as_far_as_it_goes() -> None:
+    """In steps that the headings can follow, not in steps of hours."""
+    long = feasibility.check(PAIR, trajectories.figure_eight(), 1e9)
+    short = feasibility.check(PAIR, trajectories.figure_eight(), 1000.0)
+    for a, b in zip(long, short, strict=True):
+        assert a.worst_theta_d == pytest.approx(b.worst_theta_d, rel=1e-2)
+        assert a.least_speed_ratio == pytest.approx(b.least_speed_ratio, abs=1e-2)
+
+
+CURVE = trajectories.circle()
+ONE_NUMBER: list[tuple[str, Callable[[Any], object]]] = [
+    ("d_x", lambda x: feasibility.equilibrium(x, 0.1)),
+    ("curvature", lambda x: feasibility.equilibrium(0.1, x)),
+    ("curvature", lambda x: feasibility.no_inversion((0.3, 0.3, 0.0), x)),
+    ("duration", lambda x: feasibility.check(PAIR, CURVE, x)),
+]
+
+
+@pytest.mark.parametrize(("name", "call"), ONE_NUMBER)
+@pytest.mark.parametrize("value", NOT_NUMBERS, ids=lambda x: repr(x)[:20])
+def test_what_is_not_a_number_is_named(
+    name: str, call: Callable[[Any], object], value: object
+) -> None:
+    with pytest.raises(ValueError, match=rf"^{name} = .*: expected") as caught:
+        call(value)
+    assert len(str(caught.value)) <= LONGEST
+
+
+@pytest.mark.parametrize("value", NOT_ROWS, ids=lambda x: repr(x)[:20])
+def test_what_is_not_an_array_is_named(value: Any) -> None:
+    for call in (
+        lambda: feasibility.check(value, CURVE, 1.0),
+        lambda: feasibility.max_curvature(value),
+        lambda: feasibility.no_inversion(value, 0.1),
+    ):
+        with pytest.raises(ValueError, match=r"^offsets?(\[\d+\])? = .*: expected") as caught:
+            call()
+        assert len(str(caught.value)) <= LONGEST
+
+
+@pytest.mark.parametrize("value", [None, "circle", 3, {}])
+def test_what_is_not_a_trajectory_is_named(value: Any) -> None:
+    with pytest.raises(ValueError, match=r"^trajectory = .*: expected a Trajectory"):
+        feasibility.check(PAIR, value, 1.0)
+
+
+def test_numbers_of_few_bits_count() -> None:
+    few = np.array([[1, 1, 0], [1, -1, 0]], np.int8)
+    wide = trajectories.circle(3.0)
+    assert feasibility.check(few, wide, np.int8(9)) == feasibility.check(few * 1.0, wide, 9.0)
+    # The product of what an int8 holds does not fit in one.
+    assert feasibility.no_inversion(np.array([100, 100, 0], np.int8), np.float16(0.007))
 
 
 @pytest.mark.parametrize(
@@ -257,11 +341,11 @@ def test_the_report_reads_well() -> None:
         ("offsets", [(0.3, nan, 0.0)], 1.0),
         ("offsets", (0.3, 1.0, 0.0), 1.0),
         ("offsets", np.empty((0, 3)), 1.0),
-        ("duration", PAIR, inf),
+        ("duration", PAIR, 1e16),
         ("duration", PAIR, 0.0),
         ("duration", PAIR, nan),
     ],
 )
 def test_bad_arguments_are_named(name: str, offsets: object, duration: float) -> None:
-    with pytest.raises(ValueError, match=rf"^{name} = "):
+    with pytest.raises(ValueError, match=rf"^{name}(\[\d+\])? = "):
         feasibility.check(offsets, trajectories.hover(), duration)  # type: ignore[arg-type]

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from math import cos, inf, nan, pi, sin
+from typing import Any
 
 import numpy as np
 import pytest
 from closed_loop import PROPERTY
+from hostile import NOT_COUNTS, NOT_NUMBERS, NOT_ROWS
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import pdist
 
 from formation_env import feasibility, formations, slots, trajectories
+from formation_env.checks import LONGEST
+from formation_env.config import MAX_FOLLOWERS
 from formation_env.references import Floats
 
 counts = st.integers(1, 256)
@@ -152,6 +157,59 @@ def test_rigidity_ignores_side_and_height() -> None:
     assert not formations.is_rigid([(0.3, 1.0, 0.0), (0.3001, 1.0, 0.0)])
 
 
+CALLS: dict[str, Callable[..., object]] = {
+    "line": formations.line,
+    "stack": formations.stack,
+    "wedge": formations.wedge,
+    "column": formations.column,
+    "grid": lambda n=4, columns=2, **options: formations.grid(n, columns, **options),
+    "circle": formations.circle,
+}
+
+
+def arguments() -> list[tuple[str, str]]:
+    """Every formation with each of its arguments but the plane."""
+    parameters = {name: inspect.signature(getattr(formations, name)).parameters for name in CALLS}
+    return [(f, name) for f in CALLS for name in parameters[f] if name != "plane"]
+
+
+@pytest.mark.parametrize(("formation", "name"), arguments())
+def test_hostile_arguments_are_named(formation: str, name: str) -> None:
+    counts = name in ("n", "columns")
+    for value in NOT_COUNTS if counts else NOT_NUMBERS:
+        given_ = {"n": 4, name: value}
+        with pytest.raises(ValueError, match=rf"^{name} = .*: expected") as caught:
+            CALLS[formation](**given_)
+        assert len(str(caught.value)) <= LONGEST
+
+
+@pytest.mark.parametrize("formation", CALLS)
+def test_the_number_of_followers_has_an_upper_bound(formation: str) -> None:
+    assert np.shape(CALLS[formation](n=formations.MAX_FOLLOWERS)) == (4096, 3)
+    with pytest.raises(ValueError, match=r"^n = 4097: expected an integer from 1 to 4096$"):
+        CALLS[formation](n=4097)
+    assert formations.MAX_FOLLOWERS == MAX_FOLLOWERS  # what a configuration takes
+
+
+@pytest.mark.parametrize("value", NOT_ROWS, ids=lambda x: repr(x)[:20])
+def test_hostile_offsets_are_named(value: Any) -> None:
+    for call in (formations.is_rigid, formations.min_separation):
+        with pytest.raises(ValueError, match=r"^offsets(\[\d+\])? = .*: expected") as caught:
+            call(value)
+        assert len(str(caught.value)) <= LONGEST
+
+
+def test_numbers_of_few_bits_count() -> None:
+    """What is stored is a plain number: 100 x 2 does not fit in eight bits."""
+    np.testing.assert_array_equal(
+        formations.column(np.int8(3), np.int8(100)), formations.column(3, 100.0)
+    )
+    np.testing.assert_array_equal(
+        formations.grid(np.uint8(200), np.int8(100)), formations.grid(200, 100)
+    )
+    assert formations.min_separation(np.array([[100, 0, 0], [0, 100, 0]], np.int8)) == 100.0
+
+
 @pytest.mark.parametrize(
     ("name", "make"),
     [
@@ -175,5 +233,5 @@ def test_rigidity_ignores_side_and_height() -> None:
     ],
 )
 def test_a_bad_argument_is_named(name: str, make: Callable[[], object]) -> None:
-    with pytest.raises(ValueError, match=rf"^{name} = .*: expected"):
+    with pytest.raises(ValueError, match=rf"^{name}(\[\d+\])? = .*: expected"):
         make()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import importlib.util
+import pickle
 from typing import Any
 
 import numpy as np
@@ -212,3 +214,68 @@ def test_agents_taking_turns_fly_the_same_episode() -> None:
         if not at_once.agents:
             break
     assert not at_once.agents
+
+
+# -- conventions of the libraries that PettingZoo's own tests do not look at --------------------------
+
+
+def test_every_agent_has_spaces_of_its_own() -> None:
+    env = formation_v0.parallel_env(followers=3)
+    for space in (env.observation_space, env.action_space):
+        mine = [space(agent) for agent in env.possible_agents]
+        assert [space(agent) for agent in env.possible_agents] == mine  # equal in value,
+        assert all(
+            space(agent) is own for agent, own in zip(env.possible_agents, mine, strict=True)
+        )
+        assert len({id(own) for own in mine}) == 3  # other objects
+        for own in mine:
+            own.seed(0)
+        before = [own.sample() for own in mine]
+        mine[0].seed(0)  # and this seeds no other
+        assert same(mine[0].sample(), before[0])
+        assert not same(mine[1].sample(), before[1])
+
+
+def test_it_has_a_generator_that_reset_seeds() -> None:
+    """SuperSuit's `frame_skip_v0` draws from `env.unwrapped.np_random`."""
+    one, two = formation_v0.parallel_env(), formation_v0.parallel_env()
+    drawn = one.np_random.integers(0, 2**31)
+    assert drawn != two.np_random.integers(0, 2**31)
+    single = FormationEnv()
+    for env in (one, two, single):
+        env.reset(seed=4)
+    assert one.np_random is one.np_random
+    draws = [env.np_random.integers(0, 2**31, 3).tolist() for env in (one, two, single)]
+    assert draws[0] == draws[1] == draws[2]  # the same generator as on the Gymnasium face
+    # Drawing from it does not change the episodes that follow.
+    two.np_random.random(5)
+    for _ in range(3):
+        assert same(one.reset(), two.reset())
+
+
+def test_a_generator_may_be_given() -> None:
+    one, two = formation_v0.parallel_env(), formation_v0.parallel_env()
+    one.reset(seed=0)
+    for env in (one, two):
+        env.np_random = np.random.default_rng(7)
+    assert same(one.reset(), two.reset())
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_goes_on_with_the_same_episodes(copied: Any) -> None:
+    env = formation_v0.parallel_env()
+    env.reset(seed=4)
+    twin = copied(env)
+    assert same(env.reset(), twin.reset())
+    assert env.np_random.random() == twin.np_random.random()
+    env.set_state(state := twin.get_state())
+    assert same(env.reset(), twin.reset())
+    other = formation_v0.parallel_env()
+    other.set_state(state)
+    assert same(other.reset(), formation_and_reset(twin, state))
+
+
+def formation_and_reset(env: FormationParallelEnv, state: Any) -> Any:
+    """What a reset gives from a state."""
+    env.set_state(state)
+    return env.reset()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from time import perf_counter
 from typing import Any, final
 
@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 
 from baselines.expert import Expert
-from formation_env import FormationConfig, configure, faces
+from formation_env import FormationConfig, faces
+from formation_env.arguments import Fixed, check_options, configured, whole_seed
+from formation_env.checks import boolean, choice, integer, number, refuse
 from formation_env.formation_v0 import parallel_env
 from formation_env.memory import REWARD, SLOT, Results
 from formation_env.simulation import Snapshot
@@ -22,8 +24,13 @@ from formation_env.vector import FormationVectorEnv
 Array = NDArray[Any]
 
 
+LONGEST_HISTORY = 1024  # rows of an observation
+_OWN: tuple[str, ...] = ("worlds", "seed_offset", "history", "residual", "critic", "stagger")
+_OWN += ("reward_scale", "threads", "render_mode")
+
+
 @final
-class FollowerVecEnv(VecEnv):
+class FollowerVecEnv(Fixed, VecEnv):
     """`worlds` worlds of a scenario with a row per follower: row = world * followers + follower.
 
     An observation is the follower's last `history` rows, newest last; an episode begins with its first
@@ -35,11 +42,16 @@ class FollowerVecEnv(VecEnv):
     times the row's, which is clipped to [-1, 1]. World w draws from the stream of seed
     `seed_offset + seed + w`. `stagger` ends every world's first episode early, at a random age, as if
     at its time limit, so that the worlds do not all begin and end together ever after.
+
+    Every keyword of `FormationEnv` is taken too. Raises as it does; `seed`, `set_options` and `set_attr`
+    refuse what would do nothing.
     """
+
+    _fixed = frozenset({"config", "worlds", "followers", "num_envs", "render_mode"})
 
     def __init__(
         self,
-        scenario: str | FormationConfig = "nominal",
+        scenario: str | FormationConfig | Mapping[str, Any] = "nominal",
         worlds: int = 64,
         *,
         seed_offset: int = 0,
@@ -50,15 +62,14 @@ class FollowerVecEnv(VecEnv):
         reward_scale: float = 1.0,
         threads: int | None = None,
         render_mode: str | None = None,
+        followers: int | None = None,
         **options: Any,
     ) -> None:
-        if history < 1:
-            raise ValueError(f"history = {history!r}: expected at least 1")
-        if not 0.0 <= residual <= 1.0:
-            raise ValueError(f"residual = {residual!r}: expected a bound from 0 to 1")
-        if critic not in ("local", "central"):
-            raise ValueError(f"critic = {critic!r}: expected 'local' or 'central'")
-        self.config = configure(scenario, **options)
+        history = integer("history", history, 1, LONGEST_HISTORY)
+        residual = number("residual", residual, 0.0, 1.0, strict=False)
+        critic = choice("critic", critic, ("local", "central"))
+        reward_scale = number("reward_scale", reward_scale)
+        self.config = configured(type(self).__name__, _OWN, scenario, followers, options)
         self.envs = FormationVectorEnv(
             worlds,
             self.config,
@@ -66,14 +77,16 @@ class FollowerVecEnv(VecEnv):
             threads=threads,
             render_mode=render_mode,
         )
-        self.worlds, self.followers = worlds, self.config.followers
+        self.worlds, self.followers = self.envs.num_envs, self.config.followers
+        worlds = self.worlds
         self.entries = self.config.layout.size
         self.own = history * self.entries  # of an observation's numbers, those the actor may see
         self.seconds = 0.0  # in the simulation, since construction
         self.seconds_here = 0.0  # and in all of step_wait
         self._history, self._residual = history, residual
-        self._central, self._stagger, self._scale = critic == "central", stagger, reward_scale
-        self._seed_offset = seed_offset
+        self._central, self._scale = critic == "central", reward_scale
+        self._stagger = boolean("stagger", stagger)
+        self._seed_offset = integer("seed_offset", seed_offset, 0)
         self._expert = Expert(self.config) if residual > 0.0 else None
         self._last = np.zeros((worlds, self.followers, self.entries), dtype=np.float32)
         self._stack = np.zeros((worlds, self.followers, history, self.entries), dtype=np.float32)
@@ -90,6 +103,15 @@ class FollowerVecEnv(VecEnv):
             faces.action_space(self.config, 1),
         )
 
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Set the seed of the next `reset`, a whole number from 0."""
+        return super().seed(whole_seed(seed))
+
+    def set_options(self, options: Any = None) -> None:
+        """There are no options of `reset`: any is refused."""
+        for own in options if isinstance(options, list) else [options]:
+            check_options(own)
+
     # -- episodes -----------------------------------------------------------------------------------
 
     def reset(self) -> Array:
@@ -97,7 +119,6 @@ class FollowerVecEnv(VecEnv):
         seed = self._seeds[0]
         first = None if seed is None else self._seed_offset + seed
         self._reset_seeds()
-        self._reset_options()
         self.envs.reset(seed=first)
         self._left[:] = -1
         if self._stagger:
@@ -143,8 +164,9 @@ class FollowerVecEnv(VecEnv):
 
     def step_async(self, actions: Array) -> None:
         """Note the actions, one row per follower."""
-        shape = (self.worlds, self.followers, self.config.action_size)
-        self._actions = np.asarray(actions, dtype=np.float32).reshape(shape)
+        size = self.config.action_size
+        rows = faces.read_action(actions, (self.num_envs, size), "actions")
+        self._actions = rows.reshape(self.worlds, self.followers, size)
 
     def step_wait(self) -> tuple[Array, Array, NDArray[np.bool_], list[dict[str, Any]]]:
         """One control tick in every world; worlds that end begin their next episode."""
@@ -200,7 +222,10 @@ class FollowerVecEnv(VecEnv):
         return [getattr(self.envs, attr_name)] * self._count(indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set an attribute of the environment behind all rows."""
+        """Set an attribute of the environment behind all rows.
+
+        Raises `AttributeError` for what is fixed when it is made, such as `config`.
+        """
         setattr(self.envs, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> Any:
@@ -228,13 +253,19 @@ class FollowerVecEnv(VecEnv):
         Raises `ValueError` where something is missing or of another shape.
         """
         parts: dict[str, dict[str, Array]] = {"world": {}, "expert": {}, "": {}}
+        if not isinstance(state, dict):
+            refuse("state", state, "what get_state returned")
         for name, array in state.items():
-            group, _, rest = name.rpartition(".")
+            group, _, rest = str(name).rpartition(".")
+            if group not in parts or not isinstance(array, np.ndarray):
+                refuse(f"state[{name!r}]", array, "an array that get_state returned")
             parts[group][rest] = array
         for name in ("last", "stack", "left"):
             own, given = getattr(self, f"_{name}"), parts[""].get(name)
             if given is None or given.shape != own.shape or given.dtype != own.dtype:
                 raise ValueError(f"state[{name!r}] does not fit {self.worlds} worlds of this kind")
+            if not np.isfinite(given).all():
+                refuse(f"state[{name!r}]", given, "finite numbers")
         self.envs.set_state(Snapshot(self.config, parts["world"]))
         if self._expert is not None:
             self._expert.reset(worlds=self.worlds)

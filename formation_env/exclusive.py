@@ -1,0 +1,39 @@
+"""One thread at a time, and who comes second is told so instead of waiting."""
+
+from __future__ import annotations
+
+import os
+import threading
+from typing import Any, final
+
+
+@final
+class Exclusive:
+    """A context for one thread at a time, which may enter it again; raises `RuntimeError` in another.
+
+    It does not wait for the other thread, which may never come back, and two threads that step the same
+    worlds do not mean to. A process forked while another thread was inside is not held up by that
+    thread, which it does not have. A copy is nobody's.
+    """
+
+    def __init__(self) -> None:
+        self._lock, self._process = threading.RLock(), os.getpid()
+
+    def __enter__(self) -> None:
+        if not self._lock.acquire(blocking=False):
+            self._take_over()
+
+    def __exit__(self, *error: Any) -> None:
+        self._lock.release()
+
+    def _take_over(self) -> None:
+        if self._process == os.getpid():
+            raise RuntimeError(
+                "another thread is at work in this environment: one thread at a time, or an environment "
+                "for each thread (workers of its own are asked for by threads=)"
+            )
+        self.__init__()  # type: ignore[misc]
+        self._lock.acquire()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (Exclusive, ())

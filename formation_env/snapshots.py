@@ -1,0 +1,146 @@
+"""Saved states: what a simulation of the same configuration may continue from, and what it refuses.
+
+Compiled code checks no index, so every number of a state that leads to one is checked here, and with them
+all that would otherwise be NaN some ticks later. A world whose episode is over, or has not begun, may hold
+anything but a wrong counter or table: it cannot go on, and a state that has left what can be computed ends
+its episode.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formation_env.checks import refuse, require
+from formation_env.memory import (
+    ATTITUDE,
+    CLOCK,
+    EPISODE,
+    ESTIMATE,
+    HEADING,
+    OVER,
+    PREVIOUS,
+    RATE_OF_TURN,
+    STARTED,
+    TICK,
+    State,
+    by_world,
+)
+from formation_env.world import MAX_TICKS
+
+if TYPE_CHECKING:
+    from formation_env.config import FormationConfig
+
+Floats = NDArray[np.float64]
+
+_EPISODES = 2**32 - 1  # an episode's number is one word of a random draw's counter
+
+
+class Snapshot(NamedTuple):
+    """The complete state of a simulation and what it is a state of."""
+
+    config: FormationConfig
+    state: dict[str, NDArray[Any]]
+
+
+def check_snapshot(snapshot: Any, config: FormationConfig, own: State, worlds: int) -> None:
+    """Raise `ValueError` unless a simulation of `worlds` worlds with the state `own` can go on from it."""
+    if not isinstance(snapshot, Snapshot):
+        refuse("state", snapshot, "what get_state returned")
+    if snapshot.config != config:
+        raise ValueError("state was saved under another configuration than this environment's")
+    require(isinstance(snapshot.state, dict), "state.state", snapshot.state, "a dictionary")
+    odd = set(snapshot.state) ^ set(own._fields)
+    if odd:
+        refuse("state.state", sorted(map(str, odd)), f"no entries but {', '.join(own._fields)}")
+    for name, array in own._asdict().items():
+        saved = snapshot.state[name]
+        alike = type(saved) is np.ndarray
+        if not alike or saved.dtype != array.dtype or saved.shape != array.shape:
+            found = f"{saved.dtype} {saved.shape}" if alike else f"a {type(saved).__name__}"
+            raise ValueError(f"state[{name!r}] is {found}: expected {array.dtype} {array.shape}")
+    state = State(**snapshot.state)
+    _check_counters(state)
+    _check_tables(state, config)
+    live = np.flatnonzero(state.counters[OVER, :worlds] == 0)
+    _check_vehicles(by_world(state.vehicles, worlds)[live], "vehicles")
+    _check_samples(by_world(state.samples, worlds)[live])
+    _check_followers(by_world(state.followers, worlds)[live])
+    _check_finite("begins", by_world(state.begins, worlds)[live])
+    _check_finite("speeds", state.speeds[live])
+
+
+def _check_counters(state: State) -> None:
+    bounds = {
+        "tick": (TICK, 0, 2 * MAX_TICKS),
+        "started": (STARTED, 0, 1),
+        "clock": (CLOCK, 0, 2 * MAX_TICKS),
+        "episode": (EPISODE, -1, _EPISODES),
+        "over": (OVER, 0, 1),
+    }
+    for name, (row, low, high) in bounds.items():
+        values = state.counters[row]
+        _refuse_where(
+            (values < low) | (values > high), f"counters[{name}]", values, f"{low} to {high}"
+        )
+    late = state.counters[CLOCK] > state.counters[TICK]
+    _refuse_where(late, "counters[clock]", state.counters[CLOCK], "no more than the ticks flown")
+
+
+def _check_tables(state: State, config: FormationConfig) -> None:
+    path = config.trajectory
+    if path.random is None:
+        same = np.array_equal(state.tables[0], path.table)
+        require(same, "state['tables']", state.tables[0], "the trajectory of the configuration")
+        return
+    _check_finite("tables", state.tables)
+    harmonics, expected = state.tables[:, 0], float(path.random.harmonics)
+    _refuse_where(harmonics != expected, "tables", harmonics, f"{expected:g} harmonics")
+
+
+def _check_finite(name: str, values: Floats) -> None:
+    bad = ~np.isfinite(values)
+    _refuse_where(bad, name, values, "finite numbers in worlds whose episode goes on")
+
+
+def _check_attitudes(name: str, q: Floats, tolerance: float) -> None:
+    square = np.square(q).sum(axis=-1)
+    bad = ~(np.abs(square - 1.0) <= tolerance)
+    _refuse_where(bad, f"{name} (squared norm of a quaternion)", square, "1: unit quaternions")
+
+
+def _check_vehicles(vehicles: Floats, name: str) -> None:
+    _check_finite(name, vehicles)
+    _check_attitudes(name, vehicles[..., ATTITUDE : ATTITUDE + 4], 1e-6)
+    with np.errstate(over="ignore"):
+        for first, what in ((3, "velocity"), (RATE_OF_TURN, "angular velocity")):
+            square = np.square(vehicles[..., first : first + 3]).sum(axis=-1)
+            _refuse_where(
+                ~np.isfinite(square), f"{name} ({what}, squared)", square, "a finite number"
+            )
+
+
+def _check_samples(samples: Floats) -> None:
+    """A measured attitude is one turned by noise: a unit quaternion but for what is lost in large angles."""
+    _check_finite("samples", samples)
+    _check_attitudes("samples", samples[..., ATTITUDE : ATTITUDE + 4], 0.5)
+
+
+def _check_followers(followers: Floats) -> None:
+    _check_finite("followers", followers)
+    for row in (HEADING, ESTIMATE):
+        square = np.square(followers[..., row : row + 2]).sum(axis=-1)
+        bad = np.abs(square - 1.0) > 1e-3
+        _refuse_where(bad, "followers (squared norm of a heading)", square, "1: unit vectors")
+    previous = followers[..., PREVIOUS : PREVIOUS + 4]
+    _refuse_where(np.abs(previous) > 1.0, "followers (previous action)", previous, "-1 to 1")
+
+
+def _refuse_where(bad: NDArray[np.bool_], name: str, values: NDArray[Any], expected: str) -> None:
+    """Name the first bad entry with its index."""
+    if bad.any():
+        index = tuple(int(i) for i in np.argwhere(bad)[0])
+        where = "".join(f"[{i}]" for i in index)
+        refuse(f"state: {name}{where}", values[index].item(), expected)
