@@ -6,9 +6,20 @@ named after what it uses; none is called like the library itself, because this f
 
 from __future__ import annotations
 
+import gc
+from collections.abc import Iterator
+
 import pytest
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """These libraries warn about each other's versions."""
     config.addinivalue_line("filterwarnings", "default")
+
+
+@pytest.fixture(autouse=True)
+def _collected() -> Iterator[None]:
+    """Files and folders that they leave to the garbage collector are closed with their test: at the end
+    of the session pytest would take the warnings for errors."""
+    yield
+    gc.collect()
