@@ -195,7 +195,9 @@ def evaluate(
         if config.estimator == "differenced" and above_expert(results):
             measuring = _measuring(config, episodes, seed)
         span = float(each["expert"]["return"].mean() - each["hover"]["return"].mean())
-        scenarios[name] = Scenario(config, results, span, measuring, _sources(crew, config), crew.absent)
+        scenarios[name] = Scenario(
+            config, results, span, measuring, _sources(crew, config), crew.absent
+        )
     return Report(seed, episodes, scenarios)
 
 

@@ -123,7 +123,8 @@ class FormationEnv(Fixed, gym.Env[Observation, NDArray[np.float32]]):
     `config` holds what came of it and is fixed, as `render_mode` is.
 
     `reset(seed=...)` takes a whole number from 0. `reset(options=...)` refuses options that do not exist: the
-    vector environment has `reset_mask`, the other faces have none.
+    vector environment has `reset_mask`, the other faces have none. Minari passes its own `minari_autoseed`
+    on, which is let pass.
 
     ## Determinism
 
@@ -182,9 +183,10 @@ class FormationEnv(Fixed, gym.Env[Observation, NDArray[np.float32]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Start an episode. A seed restarts the random stream; without one the next episode follows.
 
-        There are no options. Raises `ValueError` for any, and for a seed that is not a whole number.
+        There are no options but Minari's `minari_autoseed`, which changes nothing here. Raises
+        `ValueError` for any other, and for a seed that is not a whole number.
         """
-        check_options(options)
+        check_options(options, "minari_autoseed")
         super().reset(seed=whole_seed(seed))
         if self._keyed_by is not self.np_random:
             self._keyed_by = self.np_random

@@ -108,7 +108,9 @@ def test_why_a_policy_is_absent_names_no_scenario_twice() -> None:
 
 def elsewhere(scenario: Scenario) -> Scenario:
     """The scenario with `pd` for a policy from a file that was trained on another one."""
-    return scenario._replace(sources={"pd": Source("pd.safetensors", "ppo", "paper", "wrench", True)})
+    return scenario._replace(
+        sources={"pd": Source("pd.safetensors", "ppo", "paper", "wrench", True)}
+    )
 
 
 @pytest.mark.parametrize("columns", [60, 80, 100])
