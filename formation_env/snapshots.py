@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from formation_env.checks import refuse, require
+from formation_env.checks import refuse, require, shown
 from formation_env.memory import (
     ATTITUDE,
     CLOCK,
@@ -48,18 +48,19 @@ class Snapshot(NamedTuple):
 def check_snapshot(snapshot: Any, config: FormationConfig, own: State, worlds: int) -> None:
     """Raise `ValueError` unless a simulation of `worlds` worlds with the state `own` can go on from it."""
     if not isinstance(snapshot, Snapshot):
-        refuse("state", snapshot, "what get_state returned")
+        kind = type(snapshot).__name__
+        raise ValueError(f"state is a {shown(kind)[1:-1]}: expected what get_state returned")
     if snapshot.config != config:
         raise ValueError("state was saved under another configuration than this environment's")
     require(isinstance(snapshot.state, dict), "state.state", snapshot.state, "a dictionary")
-    odd = set(snapshot.state) ^ set(own._fields)
-    if odd:
-        refuse("state.state", sorted(map(str, odd)), f"no entries but {', '.join(own._fields)}")
+    odd = sorted(map(str, set(snapshot.state) - set(own._fields)))
+    require(not odd, "state.state", odd, f"no entries but {', '.join(own._fields)}")
     for name, array in own._asdict().items():
-        saved = snapshot.state[name]
+        saved: Any = snapshot.state.get(name)
         alike = type(saved) is np.ndarray
         if not alike or saved.dtype != array.dtype or saved.shape != array.shape:
             found = f"{saved.dtype} {saved.shape}" if alike else f"a {type(saved).__name__}"
+            found = "missing" if name not in snapshot.state else shown(found)[1:-1]
             raise ValueError(f"state[{name!r}] is {found}: expected {array.dtype} {array.shape}")
     state = State(**snapshot.state)
     _check_counters(state)

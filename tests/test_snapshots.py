@@ -115,12 +115,12 @@ def refused(flight: Simulation, snapshot: Any, message: str) -> None:
 
 
 WRONG: dict[str, Any] = {
-    "nothing": (None, "state = None: expected what get_state returned"),
+    "nothing": (None, "state is a NoneType: expected what get_state returned"),
     "a tuple": ((1, 2), "expected what get_state returned"),
     "no config": (lambda s: Snapshot(None, s.state), "another configuration"),
     "no state": (lambda s: Snapshot(s.config, None), "state.state = None: expected a dictionary"),
     "a list": (lambda s: Snapshot(s.config, list(s.state)), "expected a dictionary"),
-    "empty": (lambda s: Snapshot(s.config, {}), "expected no entries but"),
+    "empty": (lambda s: Snapshot(s.config, {}), r"state\['vehicles'\] is missing"),
     "one more": (lambda s: Snapshot(s.config, {**s.state, "x": 1}), "'x'"),
     "None": (lambda s: Snapshot(s.config, {**s.state, "keys": None}), "'keys'.* is a NoneType"),
     "lists": (

@@ -218,7 +218,7 @@ def test_failures(separation: float, speed: float, upright: float, error: float,
 
 
 def test_failures_are_numbered_as_named() -> None:
-    assert (FAILURES[NO_FAILURE], FAILURES[LOST], len(FAILURES)) == ("none", "lost", 4)
+    assert (FAILURES[NO_FAILURE], FAILURES[LOST], FAILURES[4]) == ("none", "lost", "leader")
 
 
 actions = st.tuples(*[st.floats(-1.0, 1.0, allow_subnormal=False)] * 4)
