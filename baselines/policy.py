@@ -38,9 +38,9 @@ from numpy.typing import NDArray
 
 from baselines.new_episodes import DOUBTFUL, NEW, Watch
 from baselines.observations import Rows, observed
-from baselines.warning import warn_user
 from formation_env import FormationConfig
 from formation_env.checks import integer, require
+from formation_env.warning import warn_user
 
 __all__ = ["EpisodeWarning", "Policy", "Rows"]
 

@@ -9,9 +9,9 @@ from dataclasses import fields
 from functools import lru_cache
 
 from baselines.files import Card
-from baselines.warning import warn_user
 from formation_env import SCENARIOS, FormationConfig, configure
 from formation_env.checks import shown
+from formation_env.warning import warn_user
 
 # How an episode begins, how long it lasts and what it is worth: training may choose those freely.
 _FREE = (

@@ -22,11 +22,11 @@ from baselines.expert import Expert
 from baselines.files import told
 from baselines.policy import Policy, Rows
 from baselines.reading import read_bytes
-from baselines.warning import warn_user
 from formation_env import FormationConfig, configure
 from formation_env.checks import choice, refuse, require, shown
 from formation_env.config import LEVELS
 from formation_env.gains import PlannerGains, TrackerGains
+from formation_env.warning import warn_user
 
 GAINS = Path(__file__).with_name("tuned_gains.json")
 VERSION = 1  # of the file's format

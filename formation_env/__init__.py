@@ -18,6 +18,7 @@ import pettingzoo
 from formation_env.config import FormationConfig
 from formation_env.feasibility import FeasibilityWarning
 from formation_env.gains import PlannerGains, TrackerGains
+from formation_env.leader_path import FlightWarning
 from formation_env.scenarios import SCENARIOS, configure
 from formation_env.sensors import Noise
 from formation_env.task import Limits, Rewards
@@ -32,6 +33,7 @@ except PackageNotFoundError:  # run from a source tree that was not installed
 __all__ = [
     "SCENARIOS",
     "FeasibilityWarning",
+    "FlightWarning",
     "FormationConfig",
     "Limits",
     "Noise",

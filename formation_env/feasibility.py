@@ -16,7 +16,6 @@ zero dynamics of `slots` that also moves the slots of the environment.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
 from math import asin, atan2, ceil, degrees, hypot
@@ -31,6 +30,7 @@ from formation_env.references import Floats
 from formation_env.slots import advance_heading
 from formation_env.tables import LARGEST
 from formation_env.trajectory import Trajectory, path_start
+from formation_env.warning import warn_user
 
 Complexes = NDArray[np.complex128]
 
@@ -244,7 +244,7 @@ def require_feasible(reports: Iterable[Feasibility]) -> None:
         )
     doubtful = [report for report in reports if not report.bound_holds]
     if doubtful:
-        warnings.warn(_doubt(doubtful), FeasibilityWarning, stacklevel=2)
+        warn_user(_doubt(doubtful), FeasibilityWarning)
 
 
 def _doubt(reports: list[Feasibility]) -> str:

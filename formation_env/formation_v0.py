@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from typing import Any, final
 
@@ -21,6 +20,7 @@ from formation_env.checks import integer, refuse, shown
 from formation_env.config import FormationConfig
 from formation_env.memory import ERROR, FAILED, REWARD, SEPARATION, SLOT, TERMS, Results
 from formation_env.simulation import Simulation, Snapshot, stream_key
+from formation_env.warning import warn_user
 
 Array = NDArray[np.float32]
 
@@ -100,7 +100,7 @@ class FormationParallelEnv(Fixed, ParallelEnv[str, Array, Array]):
         steps, most = integer("max_cycles", steps, 1), self.config.max_steps
         if steps > most:
             message = f"max_cycles = {steps}: episodes end after {most} steps, the duration"
-            warnings.warn(message, stacklevel=3)
+            warn_user(message)
         self._simulation.limit(steps)
 
     @property

@@ -18,7 +18,6 @@ on its path has not, and paths down to `b_z = 0.01 m/s^2` were flown.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from functools import lru_cache
 from math import ceil, hypot, inf
@@ -35,6 +34,7 @@ from formation_env.so3 import Vector
 from formation_env.task import ANYWHERE, NEAR, RATE_BOUND
 from formation_env.trajectory import Trajectory
 from formation_env.vehicle import Vehicle
+from formation_env.warning import warn_user
 
 _DRAWS = 8  # paths of a random trajectory that are looked at
 _ANGLE = 0.1  # rad of the fastest sine, between two samples
@@ -272,7 +272,7 @@ def _warn_of(trajectory: Trajectory, demands: Demands, reach: Reach) -> None:
             f"up to {peak.value:.3g} m/s^2 {peak.when}: it needs {'; '.join(reasons)}. "
             f"{_EASE.capitalize()}; smooth a measured log or give fewer rows"
         )
-        warnings.warn(shortened(message), FlightWarning, stacklevel=5)
+        warn_user(shortened(message), FlightWarning)
 
 
 def _require_starts_near(trajectory: Trajectory, starts: Sequence[tuple[str, Vector]]) -> None:
