@@ -74,7 +74,9 @@ def test_every_field_is_tried() -> None:
     assert set(IMPOSSIBLE) | {"scenario"} == {f.name for f in fields(FormationConfig)}
 
 
-@pytest.mark.parametrize(("name", "value"), CASES, ids=lambda x: repr(x)[:30])
+@pytest.mark.parametrize(
+    ("name", "value"), CASES, ids=lambda x: repr(x).partition(" at 0x")[0][:30]
+)
 def test_an_impossible_value_is_refused_by_name(name: str, value: Any) -> None:
     with pytest.raises(ValueError, match=name) as caught:
         configure("nominal", **{name: value})

@@ -190,7 +190,7 @@ def test_lists_are_as_good_as_tuples() -> None:
         ({3: 0.1}, r"^scenario\[3\] = 0\.1: expected only fields"),
         ({"followers": 3, "offsets": [[0.5, 0.0, 0.0]]}, r"followers and offsets given"),
     ],
-    ids=lambda x: repr(x)[:40],
+    ids=lambda x: repr(x).partition(" at 0x")[0][:40],
 )
 def test_a_wrong_dictionary_is_refused_by_name(data: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message) as caught:

@@ -52,7 +52,7 @@ from formation_env.plain_form import plain
         ),
         ([Noise(0.0, 0.0, 0.0, 0.0, 0.5)._replace(position=0.25)], None),
     ],
-    ids=lambda x: repr(x)[:30],
+    ids=lambda x: repr(x).partition(" at 0x")[0][:30],
 )
 def test_forms(value: Any, form: Any) -> None:
     if isinstance(value, list) and value and isinstance(value[0], Noise):
@@ -88,7 +88,7 @@ def test_dataclasses_are_dictionaries_of_their_fields() -> None:
         ({"path": {"points": [np.array([0.0, nan])]}}, r"value\.path\.points\[0\]\[1\]"),
         (Noise(0.0, nan, 0.0, 0.0, 0.0), r"value\.velocity"),
     ],
-    ids=lambda x: repr(x)[:30],
+    ids=lambda x: repr(x).partition(" at 0x")[0][:30],
 )
 def test_what_has_no_form_is_named(value: Any, name: str) -> None:
     with pytest.raises(ValueError, match=rf"^{name} = .*: expected a value that JSON can hold"):
