@@ -176,20 +176,22 @@ class Simulation:
 
     def _run(self, mode: int, actions: NDArray[np.float32], mask: Any) -> Results:
         mask = self._everyone if mask is None else self._mask(mask)
-        with self._alone:
-            return self._advance(mode, actions, mask)
-
-    def _advance(self, mode: int, actions: NDArray[np.float32], mask: Any) -> Results:
-        results = self._results(mode == kernels.STEP_AND_RESET)
-        advance: Any = kernels.advance
-        desk, bad = 0, -1
-        if self._threads > 1:
-            bad = kernels.first_bad_action(mode, actions, self._memory)
+        alone = self._alone
+        if not alone.acquire(False):
+            alone.take_over()
+        try:
+            results = self._results(mode == kernels.STEP_AND_RESET)
+            advance: Any = kernels.advance
+            desk, bad = 0, -1
+            if self._threads > 1:
+                bad = kernels.first_bad_action(mode, actions, self._memory)
+                if bad < 0:
+                    # Rung before there is work: they wake while this thread is on its way into the kernel.
+                    desk = self._gathered().wake()
             if bad < 0:
-                # Rung before there is work: they wake while this thread is on its way into the kernel.
-                desk = self._gathered().wake()
-        if bad < 0:
-            bad = advance(desk, 0, mode, actions, mask, self._memory, self._rooms[0], *results)
+                bad = advance(desk, 0, mode, actions, mask, self._memory, self._rooms[0], *results)
+        finally:
+            alone.release()
         if bad >= 0:
             raise self._not_finite(actions, bad)
         return results
