@@ -10,9 +10,9 @@ from math import isclose, pi
 
 from formation_env.checks import require
 from formation_env.vehicle import Vehicle
+from formation_env.world import MAX_TICKS
 
 FINEST = 1e-6  # s, the shortest substep
-LONGEST_EPISODE = 2**53  # ticks: above, time in float64 no longer grows with every tick
 _SAMPLING = 10**6  # substeps between two measurements
 
 # The classical Runge-Kutta step h multiplies a decay x' = -x / lag by
@@ -48,10 +48,10 @@ def check_clock(
         f"at least one control_period = {control_period:g} s",
     )
     require(
-        duration / control_period <= LONGEST_EPISODE,
+        duration / control_period <= MAX_TICKS,
         "duration",
         duration,
-        f"at most 2^53 control periods = {LONGEST_EPISODE * control_period:g} s (1e9 s, 32 years, "
+        f"at most 2^40 control periods = {MAX_TICKS * control_period:g} s (1e9 s, 32 years, "
         "serves where an episode should never be truncated)",
     )
 

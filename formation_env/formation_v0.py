@@ -244,7 +244,9 @@ class FormationParallelEnv(Fixed, ParallelEnv[str, Array, Array]):
         ]
         flat = [np.concatenate(parts, axis=1).ravel(), simulation.slots.ravel()]
         state = np.concatenate([*flat, simulation.started.astype(np.float64)]).astype(np.float32)
-        return np.clip(state, self.state_space.low, self.state_space.high)
+        low, high = self.state_space.low, self.state_space.high
+        # Of a vehicle that has left the numbers, whose episode has ended, the state is finite all the same.
+        return np.clip(np.nan_to_num(state, copy=False, posinf=np.inf, neginf=-np.inf), low, high)
 
     def render(self) -> Any:
         """A frame `(height, width, 3)` of uint8 in mode `rgb_array`; a window in mode `human`."""

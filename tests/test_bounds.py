@@ -13,9 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from formation_env import PlannerGains, TrackerGains, Vehicle, configure
-from formation_env.bounds import LONGEST_EPISODE, RK4_STABLE
+from formation_env.bounds import RK4_STABLE
 from formation_env.checks import LONGEST
 from formation_env.vector import FormationVectorEnv
+from formation_env.world import MAX_TICKS
 
 # -- the rate loop ------------------------------------------------------------------------------------
 
@@ -159,8 +160,8 @@ def test_an_episode_without_end_is_accepted(scenario: str) -> None:
     """Without a warning: what is integrated of the path is resolved, however long it is."""
     config = configure(scenario, duration=1e9)
     assert config.max_steps == round(1e9 / config.control_period)
-    longest = LONGEST_EPISODE * config.control_period
-    assert configure(scenario, duration=0.999 * longest).max_steps <= LONGEST_EPISODE
+    longest = MAX_TICKS * config.control_period
+    assert configure(scenario, duration=0.999 * longest).max_steps <= MAX_TICKS
     with pytest.raises(ValueError, match=r"^duration = .*at most 2\^53 control periods"):
         configure(scenario, duration=1.001 * longest)
 

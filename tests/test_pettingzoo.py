@@ -158,6 +158,18 @@ def test_info_holds_only_arrays_and_numbers() -> None:
         }
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_state_is_finite_when_a_vehicle_has_left_the_numbers(value: float) -> None:
+    env = formation_v0.parallel_env()
+    env.reset(seed=0)
+    env.simulation._state.vehicles[...] = value
+    assert env.state() in env.state_space
+    *_, infos = env.step(acts(env, np.zeros(shape(env), np.float32)))
+    assert not env.agents
+    assert env.state() in env.state_space
+    assert {info["failure"] for info in infos.values()} == {3}  # lost
+
+
 def test_state_belongs_to_the_environment() -> None:
     """Writing into what was returned changes neither the state nor what follows."""
     spoiled, untouched = formation_v0.parallel_env(), formation_v0.parallel_env()
