@@ -45,7 +45,7 @@ class Learned(Policy):
             self.card, network = source
         else:
             self.card, network = load(source)
-        _require_fit(self.card, config)
+        require_fit(self.card, config)
         warn_of_transfer(self.card, config)
         self._layers = [
             (padded(W), padded(b)) for W, b in zip(network.weights, network.biases, strict=True)
@@ -112,8 +112,11 @@ class Learned(Policy):
         return gathered(x, len(inputs), self.card.action_size)
 
 
-def _require_fit(card: Card, config: FormationConfig) -> None:
-    """`load` has seen to the layout's version."""
+def require_fit(card: Card, config: FormationConfig) -> None:
+    """Raise `Misfit` unless a policy sees and commands what followers of this configuration do.
+
+    `load` has seen to the layout's version.
+    """
     found: dict[str, tuple[Any, Any]] = {
         "action level": (card.action, config.action),
         "observation entries": (card.entries, config.layout.size),

@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 from baselines import own
 from baselines.expert import Expert
 from baselines.files import SUFFIX, Card, load
-from baselines.learned import Learned, Misfit
+from baselines.learned import Learned, Misfit, require_fit
 from baselines.policy import Policy
 from baselines.simple import Hover, Pd, Random
-from baselines.transfer import marked
 from baselines.tuned import ExpertTuned
 from formation_env import FormationConfig
 from formation_env.checks import require
@@ -97,8 +96,7 @@ def _from_file(name: str, config: FormationConfig) -> Recipe:
     source = load(path)
     made = Recipe(partial(Learned, source=source), path.name, source[0])
     try:
-        with marked():  # only tried
-            made.make(config)
+        require_fit(source[0], config)
     except Misfit as problem:
         raise Misfit(f"{path}: {problem}") from None
     return made

@@ -14,7 +14,8 @@ The JSON document, `results.json` (no NaN: a figure that no episode has is null)
              "difference_to_expert": {"return": estimate, "slot_error_rms": estimate},
              "failures": {kind: episodes}}},
          "expert_measuring": null or {name: estimate},
-         "files": {policy: {"file": name, "method": word, "scenario": trained on, "action": level}},
+         "files": {policy: {"file": name, "method": word, "scenario": trained on, "action": level,
+                           "differs": whether it flies another task than it was trained for}},
          "absent": {policy: why it does not fly here}}}}
 
 with `estimate = {"value", "low", "high", "episodes"}`: the mean over so many episodes (of `settling_time`
@@ -138,7 +139,8 @@ def _files(report: Report) -> str:
     flights: dict[tuple[str, Source], list[str]] = {}
     for name, scenario in report.scenarios.items():
         for policy, source in scenario.sources.items():
-            flights.setdefault((policy, source), []).append(f"`{name}`")
+            file = (policy, source._replace(differs=False))  # of one file, whatever it flies
+            flights.setdefault(file, []).append(f"`{name}`")
     rows = [["policy", "file", "method", "trained on", "at level", "flown on"], ["---"] * 6]
     for (policy, source), names in flights.items():
         known = [

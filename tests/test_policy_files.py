@@ -668,8 +668,10 @@ def test_a_file_is_scored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
             "method": "ppo",
             "scenario": "nominal",
             "action": "wrench",
+            "differs": False,
         }
     }
+    assert document["swarm"]["files"][str(path)]["differs"]
     assert list(document["experiment"]["policies"]) == ["expert"]
     assert "has 'rates'" in document["experiment"]["absent"][str(path)]
     text = (tmp_path / "1" / "results.md").read_text(encoding="utf-8")
@@ -678,7 +680,7 @@ def test_a_file_is_scored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     where = "| `my policy.safetensors` | `ppo` | `nominal` | `wrench` | `nominal`, `swarm` |"
     assert f"| `{path}` {where}" in text
     assert f"Not flown on `experiment`: `{path}` (" in text
-    assert "* trained on another scenario" in capsys.readouterr().out
+    assert "* trained for another task" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("kind", ["broken", "misfit", "missing"])

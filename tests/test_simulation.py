@@ -269,7 +269,7 @@ def test_a_reference_evaluated_is_the_one_tabulated(
 
 @pytest.mark.parametrize("duration", [1e9, MAX_TICKS * 0.02])
 def test_an_endless_episode_takes_no_more_memory(duration: float) -> None:
-    path = trajectories.line()
+    path = trajectories.circle()
     config, short = configure(duration=duration, trajectory=path), configure(trajectory=path)
     sizes = []
     for one in (short, config):

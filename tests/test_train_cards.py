@@ -140,9 +140,8 @@ def test_the_program_flies_a_policy_of_ones_own(
 def test_the_options_in_the_commands_exist(root: Path, module: str) -> None:
     tyro = pytest.importorskip("tyro")
     options = pytest.importorskip(f"train.{'options' if module == 'ppo' else module}").Options
-    found = re.findall(
-        rf"^python -m train\.{module.partition('_o')[0]} (.*)$", template(root), re.M
-    )
+    program = {"tune_expert": "tune-expert"}.get(module, f"train-{module.partition('_')[0]}")
+    found = re.findall(rf"^formation-{program} (.*)$", template(root), re.M)
     assert found
     for words in found:
         given = tyro.cli(options, args=shlex.split(words))
