@@ -26,15 +26,23 @@ from formation_env._jit import device, kernel
 from formation_env.quadrotor import GRAVITY
 from formation_env.slots import out_of_frame
 from formation_env.so3 import Vector, sub
-from formation_env.task import ANYWHERE, RATE_BOUND
+from formation_env.task import ANYWHERE, RATE_BOUND, Layout
+from formation_env.world import WRENCH
 
 Rows = NDArray[np.float32]
 
 NEW, DOUBTFUL = 1, 2  # bits of what `compare` returns
 
-# Columns of an observation row.
-_RELATIVE, _LEADER, _HEADING, _OFFSET, _PREVIOUS, _STARTED, _POSITION = 3, 6, 21, 23, 26, 30, 31
-_NOTED = _POSITION + 3  # so many of a world's first follower are kept
+# Columns of an observation row, the same at every action level.
+_ENTRIES = Layout(WRENCH, 0).slices
+_RELATIVE = _ENTRIES["relative_velocity"].start
+_LEADER = _ENTRIES["leader_velocity"].start
+_HEADING = _ENTRIES["heading"].start
+_OFFSET = _ENTRIES["offset"].start
+_PREVIOUS = _ENTRIES["previous_action"].start
+_STARTED = _ENTRIES["started"].start
+_POSITION = _ENTRIES["position"].start
+_NOTED = _ENTRIES["position"].stop  # so many of a world's first follower are kept
 
 _DEVIATIONS = 6.8  # of noise: `rng.normals` never gives more
 _ROUNDING = 1e-6  # of float32, relative
@@ -154,9 +162,9 @@ def _began(before: Any, row: Any, m: Motion) -> bool:
 def compare(rows: Rows, notes: Rows, m: Motion, began: NDArray[np.bool_]) -> int:
     """Mark the worlds that began anew, and note what their first followers see now.
 
-    `rows` `(worlds, followers, entries)`; `notes` `(worlds, 34)` are the first entries of the rows
-    before, with NaN for the trigger where there are none. Returns the bits `NEW` and `DOUBTFUL` of all
-    worlds together.
+    `rows` `(worlds, followers, entries)`; `notes` `(worlds, _NOTED)` are the first followers' rows before,
+    up to the position, with NaN for the trigger where there are none. Returns the bits `NEW` and
+    `DOUBTFUL` of all worlds together.
     """
     found = 0
     for w in range(len(rows)):
