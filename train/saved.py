@@ -204,8 +204,9 @@ def _require_moments(name: str, each: Arrays, shape: tuple[int, ...] | None) -> 
     for key in ("exp_avg", "exp_avg_sq"):
         take(named, f"{name}.{key}", shape, np.float32)
     steps = each.get("step")
-    fits = steps is not None and steps.size == 1 and steps.dtype == np.float32
-    require(fits, f"{name}.step", None if steps is None else shown(steps), "one number, float32")
+    # Of float32 in a state of PyTorch's own, of float64 in one that went through RLlib.
+    fits = steps is not None and steps.size == 1 and steps.dtype.kind == "f"
+    require(fits, f"{name}.step", None if steps is None else shown(steps), "one number, a float")
     assert steps is not None
     number(f"{name}.step", float(steps.ravel()[0]), 1.0, _LARGEST, strict=False)
     least = float(each["exp_avg_sq"].min(initial=0.0))
