@@ -148,13 +148,11 @@ class Run:
     def train(self, stop: Callable[[], bool] = lambda: False) -> None:
         """Train to the limit, or until `stop` says so between two updates; then the folder is released."""
         o = self.options
-        with compiling(o.quiet):
-            judge = self.judge
         bar = Progress(o.steps, o.minutes, o.quiet)
         self._keeper = Keeper(
             o.output,
             self.diary,
-            judge,
+            self.judge,
             self.made,
             lambda path, made: files.save(path, *made),
             self.save,
@@ -243,17 +241,20 @@ def prepare(options: Options) -> Run:
         options = _fitted(options, *source)
     own = claim(options.output)
     try:
-        if options.resume:
-            run = _resumed(path, options)
-        elif path.exists():
+        if path.exists() and not options.resume:
             raise ValueError(f"{path} exists: go on with --resume, or choose another folder")
-        else:
-            run = Run(options, _method(options, source), source)
+        with compiling(options.quiet):
+            run = _resumed(path, options) if options.resume else _begun(options, source)
+            _ = run.judge  # made here, so that all is compiled under one line
     except BaseException:
         own.release()
         raise
     run.claim = own
     return run
+
+
+def _begun(options: Options, source: tuple[Card, Network] | None) -> Run:
+    return Run(options, _method(options, source), source)
 
 
 # What may come of building a run for options and numbers that do not fit one another.

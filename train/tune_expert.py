@@ -37,6 +37,7 @@ from baselines.scoring import Result, judge
 from baselines.tuned import FEEDFORWARDS, VERSION, ExpertTuned, Gains, own, read
 from baselines.writing import claim, write_text
 from formation_env import FormationConfig, configure
+from formation_env._jit import untold
 from formation_env.checks import integer, number, require
 from train.command_line import read as read_options
 from train.gain_space import GainSpace
@@ -265,7 +266,8 @@ def command_of(options: Options) -> str:
 
 def tune(options: Options) -> Verdict:
     """The whole search. Raises `ValueError` for wrong options, before anything is written."""
-    config, command = options.check(), command_of(options)
+    with untold():  # a little is compiled; `_run` says so, with all the rest
+        config, command = options.check(), command_of(options)
     path = options.output / f"{config.scenario}-{config.action}.json"
     if options.gains is not None and options.gains.exists():
         read(options.gains)
@@ -346,7 +348,7 @@ def _finalists(options: Options, config: FormationConfig, journal: Journal) -> l
 
 
 def _refuse(message: object) -> NoReturn:
-    print(f"{PROGRAM}: error: {message}", file=sys.stderr)
+    print(f"{SCRIPT}: error: {message}", file=sys.stderr)
     raise SystemExit(2)
 
 
@@ -364,7 +366,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ValueError as problem:
         _refuse(problem)
     except OSError as problem:
-        print(f"{PROGRAM}: error: {problem}; earlier files are kept", file=sys.stderr)
+        print(f"{SCRIPT}: error: {problem}; earlier files are kept", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("interrupted: --resume goes on where the journal ends", file=sys.stderr)
