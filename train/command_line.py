@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 
 from baselines import console
 from formation_env import SCENARIOS
-from formation_env._jit import untold
 
 T = TypeVar("T")
 
@@ -33,8 +32,7 @@ def read(kinds: type[T], script: str, arguments: Sequence[str] | None) -> T:
     import tyro
 
     try:
-        with untold():  # options that are checked may compile a little; the command says so later
-            given: T = tyro.cli(kinds, prog=script, args=arguments)
+        given: T = tyro.cli(kinds, prog=script, args=arguments)
     except BrokenPipeError as problem:  # whoever read the help has gone
         raise console.Unprintable from problem
     return given

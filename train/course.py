@@ -18,7 +18,6 @@ from baselines import files, make_policy
 from baselines.console import Lenient
 from baselines.progress import compiling
 from baselines.writing import Claim, claim
-from formation_env._jit import untold
 from train.checkpoint import write
 from train.cloning import Clone, Flight, Memory
 from train.evaluation import Judge, Row, line, to_csv
@@ -47,9 +46,8 @@ class Course:
     """
 
     def __init__(self, options: Options) -> None:
-        with untold():  # a little is compiled; `_prepare` says so, with all the rest
-            config = options.check()
-            make_policy(options.teacher, config)  # refused before the folder is made
+        config = options.check()
+        make_policy(options.teacher, config)  # refused before the folder is made
         self.options, self.config = options, config
         self._claim = _claimed(options)
         try:

@@ -22,6 +22,7 @@ from baselines import files
 from baselines.files import Card, Network
 from baselines.progress import compiling
 from baselines.writing import Claim, claim
+from formation_env._jit import untold
 from formation_env.checks import integer, number, require
 from train import checkpoint
 from train.actor_rate import Learner
@@ -148,11 +149,13 @@ class Run:
     def train(self, stop: Callable[[], bool] = lambda: False) -> None:
         """Train to the limit, or until `stop` says so between two updates; then the folder is released."""
         o = self.options
+        with compiling(o.quiet):
+            judge = self.judge
         bar = Progress(o.steps, o.minutes, o.quiet)
         self._keeper = Keeper(
             o.output,
             self.diary,
-            self.judge,
+            judge,
             self.made,
             lambda path, made: files.save(path, *made),
             self.save,
@@ -241,20 +244,19 @@ def prepare(options: Options) -> Run:
         options = _fitted(options, *source)
     own = claim(options.output)
     try:
-        if path.exists() and not options.resume:
+        if options.resume:
+            with untold():  # making the worlds compiles a little; `train` says so, with the rest
+                run = _resumed(path, options)
+        elif path.exists():
             raise ValueError(f"{path} exists: go on with --resume, or choose another folder")
-        with compiling(options.quiet):
-            run = _resumed(path, options) if options.resume else _begun(options, source)
-            _ = run.judge  # made here, so that all is compiled under one line
+        else:
+            with untold():
+                run = Run(options, _method(options, source), source)
     except BaseException:
         own.release()
         raise
     run.claim = own
     return run
-
-
-def _begun(options: Options, source: tuple[Card, Network] | None) -> Run:
-    return Run(options, _method(options, source), source)
 
 
 # What may come of building a run for options and numbers that do not fit one another.

@@ -37,7 +37,6 @@ from baselines.scoring import Result, judge
 from baselines.tuned import FEEDFORWARDS, VERSION, ExpertTuned, Gains, own, read
 from baselines.writing import claim, write_text
 from formation_env import FormationConfig, configure
-from formation_env._jit import untold
 from formation_env.checks import integer, number, require
 from train.command_line import read as read_options
 from train.gain_space import GainSpace
@@ -266,8 +265,7 @@ def command_of(options: Options) -> str:
 
 def tune(options: Options) -> Verdict:
     """The whole search. Raises `ValueError` for wrong options, before anything is written."""
-    with untold():  # a little is compiled; `_run` says so, with all the rest
-        config, command = options.check(), command_of(options)
+    config, command = options.check(), command_of(options)
     path = options.output / f"{config.scenario}-{config.action}.json"
     if options.gains is not None and options.gains.exists():
         read(options.gains)
