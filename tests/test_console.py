@@ -86,9 +86,13 @@ def compile_something() -> None:
 
 @pytest.mark.skipif(not hasattr(a_kernel, "targetoptions"), reason="nothing is compiled")
 def test_compiling_that_is_interrupted_is_not_done(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(KeyboardInterrupt), progress.compiling():
-        compile_something()
-        raise KeyboardInterrupt
+    def interrupted() -> None:
+        with progress.compiling():
+            compile_something()
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
     assert capsys.readouterr().err == f"{progress.TEXT} stopped after 0 s\n"
 
 
