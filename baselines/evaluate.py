@@ -58,7 +58,7 @@ def evaluate(
     functions that are called with the configuration, and objects with `reset(seed)` and `act(observation)`
     (see `baselines.own`); or a dictionary that gives them names. `scenarios`: one or a list of names
     (`"paper"`, `"paper:rates"`), or a dictionary from names of yours to `FormationConfig`s or to
-    dictionaries of fields, such as `{"heavy": {"scenario": "paper", "vehicle": Vehicle(mass=0.2)}}`.
+    dictionaries of fields, such as `{"windy": {"scenario": "paper", "gust": 0.5}}`.
     `threads` is by default one for each core; `quiet` shows no progress.
 
     The result prints as a table. `result.scenarios[name].results[policy]` holds the score with its interval,

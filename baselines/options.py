@@ -102,7 +102,9 @@ your own controller, vehicle, path and gains:
   --policies expert,mypkg.mymodule:MyPolicy,path/to/file.py:MyPolicy
       classes called with the configuration; an object has reset(seed) and
       act(observation), see `python -c "help('baselines.own')"`
-  --set vehicle.mass=0.12 --set noise.position=0.1 --set planner.k1=0.3
+  --set noise.position=0.1 --set planner.k1=0.3
+  --set vehicle.mass=0.12 --set vehicle.thrust_max=1.962
+      a mass alone changes nothing: the default thrust follows it
   --set 'trajectory={"path": "circle", "radius": 2.0}'
   --config mine.json      the same fields as a JSON object; "scenario" in it
                           names the scenario that they change (nominal)

@@ -69,7 +69,7 @@ def make(config: FormationConfig, source: Source) -> Policy:
         return first
     for method in ("reset", "act"):
         if not callable(getattr(first, method, None)):
-            raise ValueError(f"policy {name}: {shown(first)} has no method {method}")
+            raise ValueError(f"policy {name}: {type(first).__name__} has no method {method}")
     return Own(config, name, build, first)
 
 

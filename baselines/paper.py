@@ -185,7 +185,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         except KeyboardInterrupt:
             console.complain(f"interrupted: what is in {args.out} may be incomplete")
             return 130
-    console.say(claim_table(claims))
+    console.say(claim_table(claims, console.width()))
     if costs:
         console.say("\n" + cost_table(costs))
     console.say(f"\nWritten to {args.out}.")

@@ -28,12 +28,14 @@ def compiling(quiet: bool = False) -> Iterator[None]:
     the seconds on a terminal and ends with `done in 48 s`. No line where all comes from the cache."""
     line = _Line(quiet)
     event.register("numba:compile", line)
+    how = "stopped after"
     try:
         with untold():
             yield
+        how = "done in"
     finally:
         event.unregister("numba:compile", line)
-        line.end()
+        line.end(how)
 
 
 @final
@@ -69,15 +71,15 @@ class _Line(event.Listener):  # type: ignore[misc]
             self._stream.write(f"\r{TEXT} {self._seconds()}")
             self._stream.flush()
 
-    def end(self) -> None:
-        """Say how long it took, if anything was compiled."""
+    def end(self, how: str) -> None:
+        """Say `how` it ended and how long it took, if anything was compiled."""
         if self._began is None:
             return
         self._over.set()
         if self._clock is not None:
             self._clock.join()
             self._stream.write(f"\r{TEXT}")
-        self._stream.write(f" done in {self._seconds()}\n")
+        self._stream.write(f" {how} {self._seconds()}\n")
         self._stream.flush()
 
 

@@ -2,7 +2,7 @@
 
 nominal:rates                    a scenario at an action level
 --config mine.json               fields of a configuration as JSON; "scenario" names what they change
---set vehicle.mass=0.12          a field, or a part of one after a dot, in every task
+--set noise.position=0.1         a field, or a part of one after a dot, in every task
 --sweep gust=0:2:9               nine values from 0 to 2, a task for each
 --sweep noise.position=0,0.1,0.2
 """
@@ -41,7 +41,7 @@ class Setting(NamedTuple):
 
 def read_setting(text: str) -> Setting:
     """`field=value`; the value is JSON, or else a name. Raises `ValueError`."""
-    name, value = _halves(text, "FIELD=VALUE, such as vehicle.mass=0.12")
+    name, value = _halves(text, "FIELD=VALUE, such as noise.position=0.1")
     return Setting(name, (_value(value),), (value,), value)
 
 
@@ -157,14 +157,15 @@ def changed(fields: Mapping[str, Any], changes: Sequence[tuple[str, Any]]) -> Fo
     scenario = fields.pop("scenario")
     if parts:
         base = configure(scenario, **fields)
-        for (first, *inner), value in parts:
+        for first in dict.fromkeys(path[0] for path, _ in parts):
+            inner = [(path[1:], value) for path, value in parts if path[0] == first]
             if first not in base.__dataclass_fields__:
                 names = ", ".join(base.__dataclass_fields__)
                 raise ValueError(
-                    f"{first} = {shown(value)}: expected one of the fields {names}"[:500]
+                    f"{first} = {shown(inner[0][1])}: expected one of the fields {names}"[:500]
                 )
             before = fields.get(first) if _is_value(fields.get(first)) else getattr(base, first)
-            fields[first] = _with_part(first, before, inner, value)
+            fields[first] = _with_parts(first, before, inner)
     return configure(scenario, **fields)
 
 
@@ -173,9 +174,11 @@ def _is_value(value: object) -> bool:
     return hasattr(value, "_fields") or is_dataclass(value)
 
 
-def _with_part(name: str, whole: Any, inner: Sequence[str], value: Any) -> Any:
-    """`whole` with one part replaced. Raises `ValueError` naming the known parts."""
-    first, *rest = inner
+def _with_parts(name: str, whole: Any, parts: Sequence[tuple[Sequence[str], Any]]) -> Any:
+    """`whole` with parts replaced, at once: a thrust that fits the new mass may not fit the old one.
+
+    Raises `ValueError` naming the known parts.
+    """
     known: tuple[str, ...] = getattr(whole, "_fields", ()) or tuple(
         getattr(whole, "__dataclass_fields__", ())
     )
@@ -183,17 +186,18 @@ def _with_part(name: str, whole: Any, inner: Sequence[str], value: Any) -> Any:
         whole, Trajectory
     ):  # its parts are numbers of a table, not what a user calls it by
         known = ()
-    if first not in known:
-        expected = f"one of {', '.join(known)}" if known else f"{name} to be set as a whole"
-        raise ValueError(f"{name}.{first} = {shown(value)}: expected {expected}")
-    if rest:
-        value = _with_part(f"{name}.{first}", getattr(whole, first), rest, value)
+    new: dict[str, Any] = {}
+    for (first, *rest), value in parts:
+        if first not in known:
+            expected = f"one of {', '.join(known)}" if known else f"{name} to be set as a whole"
+            raise ValueError(f"{name}.{first} = {shown(value)}: expected {expected}")
+        before = new[first] if first in new else getattr(whole, first)
+        new[first] = _with_parts(f"{name}.{first}", before, [(rest, value)]) if rest else value
     try:
-        if hasattr(whole, "_replace"):
-            return whole._replace(**{first: value})
-        return replace(whole, **{first: value})
+        return whole._replace(**new) if hasattr(whole, "_replace") else replace(whole, **new)
     except (ValueError, TypeError) as problem:
-        raise ValueError(f"{name}: {problem}") from None
+        told = str(problem)
+        raise ValueError(told if told.startswith(f"{name}.") else f"{name}: {told}") from None
 
 
 def check_scenario(name: str) -> None:

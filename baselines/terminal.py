@@ -16,7 +16,8 @@ ELSEWHERE = "*"  # marks what a policy from a file scores where it was not train
 def summary(report: Report, columns: int | None = None) -> str:
     """Scores, failures and what the marks mean, at most `columns` wide (by default: the terminal)."""
     columns = width() if columns is None else columns
-    head = f"score of {report.episodes} episodes: hover is 0, the expert 1, higher is better"
+    count = f"{report.episodes} episode{'s' if report.episodes > 1 else ''}"
+    head = f"score of {count}: hover is 0, the expert 1, higher is better"
     parts = [f"{wrapped(head, columns)}\n{_table(report, _score, columns)}"]
     if any(
         r.summary["failed"].value > 0.0

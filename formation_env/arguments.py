@@ -63,15 +63,18 @@ def whole_seed(seed: Any, name: str = "seed") -> int | None:
     return None if seed is None else integer(name, seed, 0)
 
 
-def check_options(options: Any, *known: str) -> None:
-    """Refuse options of `reset` that are not known: they would do nothing."""
+def check_options(options: Any, *known: str, passed: str | None = None) -> None:
+    """Refuse options of `reset` that are not known: they would do nothing.
+
+    `passed` is let pass and not named: another library sends it, and it means nothing to a user.
+    """
     if options is None:
         return
     names = ", ".join(map(repr, known)) if known else "none"
     if not isinstance(options, Mapping):
         refuse("options", options, f"a dictionary or None; known keys: {names}")
     for key in options:
-        if key not in known:
+        if key not in known and key != passed:
             refuse(f"options[{key!r}]", options[key], f"only known keys: {names}")
 
 

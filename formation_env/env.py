@@ -186,7 +186,7 @@ class FormationEnv(Fixed, gym.Env[Observation, NDArray[np.float32]]):
         There are no options but Minari's `minari_autoseed`, which changes nothing here. Raises
         `ValueError` for any other, and for a seed that is not a whole number.
         """
-        check_options(options, "minari_autoseed")
+        check_options(options, passed="minari_autoseed")
         super().reset(seed=whole_seed(seed))
         if self._keyed_by is not self.np_random:
             self._keyed_by = self.np_random

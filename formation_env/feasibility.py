@@ -251,11 +251,12 @@ def _doubt(reports: list[Feasibility]) -> str:
     """Which followers fail the bound (29)-(30), by how much, and what integrating (26) found."""
     worst = max(reports, key=lambda report: hypot(*report.offset[:2]))
     inverting = [report for report in reports if report.inverts]
-    all_of_them = "they all do" if len(reports) > 1 else "it does"
-    found = "none does" if not inverting else f"{_named(inverting)} do"
-    found = all_of_them if len(inverting) == len(reports) else found
+    who = _named(inverting) if inverting else "none" if len(reports) > 1 else "it does not"
+    verb = "move backwards" if len(inverting) > 1 or who == "it does not" else "moves backwards"
+    if len(inverting) == len(reports):
+        who = "they all" if len(reports) > 1 else "it"
     return (
         f"the bound (29)-(30) against moving backwards does not hold for {_named(reports)}: "
         f"|(d_x, d_y)| up to {hypot(*worst.offset[:2]):.3g} m, the leader turns with a radius of "
-        f"{1.0 / worst.curvature_max:.3g} m. Sufficient only: by integrating (26), {found}"
+        f"{1.0 / worst.curvature_max:.3g} m. The bound is sufficient only; by integrating (26), {who} {verb}"
     )

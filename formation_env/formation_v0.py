@@ -131,7 +131,7 @@ class FormationParallelEnv(Fixed, ParallelEnv[str, Array, Array]):
         There are no options. Raises `ValueError` for any, and for a seed that is not a whole number; only
         the key `"options"` is let pass, which PettingZoo's own tests send.
         """
-        check_options(options, "options")
+        check_options(options, passed="options")
         if (seed := whole_seed(seed)) is not None:
             self._np_random = seeding.np_random(seed)[0]
         if self._keyed_by is not self.np_random:

@@ -85,6 +85,18 @@ def compile_something() -> None:
 
 
 @pytest.mark.skipif(not hasattr(a_kernel, "targetoptions"), reason="nothing is compiled")
+def test_compiling_that_is_interrupted_is_not_done(capsys: pytest.CaptureFixture[str]) -> None:
+    def interrupted() -> None:
+        with progress.compiling():
+            compile_something()
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert capsys.readouterr().err == f"{progress.TEXT} stopped after 0 s\n"
+
+
+@pytest.mark.skipif(not hasattr(a_kernel, "targetoptions"), reason="nothing is compiled")
 def test_compiling_has_a_line_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
     with progress.compiling():
         pass

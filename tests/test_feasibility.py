@@ -170,7 +170,9 @@ def test_the_papers_pair_on_31_fails_the_bound_and_never_inverts() -> None:
         feasibility.require_feasible(reports)
     text = str(caught[0].message)
     assert "for followers 0, 1: |(d_x, d_y)| up to 0.495 m" in text
-    assert "radius of 0.418 m" in text and text.endswith("(26), none does")
+    assert "radius of 0.418 m" in text and text.endswith(
+        "by integrating (26), none moves backwards"
+    )
 
 
 def test_the_papers_pair_on_70_meets_the_bound() -> None:
@@ -188,7 +190,7 @@ def test_a_far_follower_inverts() -> None:
     assert report.least_speed_ratio < -0.5
     assert str(report).startswith("follower 0, d = (0.35, 3, 0) m, moves backwards\n")
     with pytest.warns(
-        FeasibilityWarning, match=r"does not hold for follower 0: .*\(26\), it does$"
+        FeasibilityWarning, match=r"does not hold for follower 0: .*\(26\), it moves backwards$"
     ):
         feasibility.require_feasible([report])
 
@@ -259,7 +261,7 @@ def test_a_formation_of_seven_prints_one_line() -> None:
         configure(offsets=formations.wedge(7))
     (text,) = (str(one.message) for one in caught)
     assert "\n" not in text and len(text) <= 300
-    assert text.endswith("(26), they all do")
+    assert text.endswith("(26), they all move backwards")
 
 
 def test_the_report_reads_well() -> None:

@@ -14,6 +14,7 @@ from closed_loop import agree
 
 from baselines import paper
 from baselines.reproduction import continuous, costs, sampled
+from baselines.reproduction.claims import Cost, cost_table
 from baselines.reproduction.claims_continuous import (
     flight_claims,
     heading_on_a_circle,
@@ -306,6 +307,21 @@ def test_table_and_csv_of_a_part(tmp_path: Path, capsys: pytest.CaptureFixture[s
     header, values = rows(tmp_path / "deep" / "er" / "fig02.csv")
     at = header.index("dist_f1_f2")
     agree(values[:, at], np.hypot(*(values[:, 3:5] - values[:, 5:7]).T), 1e-7)
+
+
+@pytest.mark.parametrize("columns", [80, 100, 200])
+def test_the_table_fits_the_terminal(
+    columns: int,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    assert paper.main(["--out", str(tmp_path), "--figures", "2", "--no-plots"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines[:-1])) == min(columns, 100)
+    costs = [Cost("figures 6-9 at 50 Hz, no noise", "derived, leader's exact", 0.1)]
+    assert max(map(len, cost_table(costs).splitlines())) <= 80
 
 
 def test_missing_matplotlib_is_said_before_anything_starts(

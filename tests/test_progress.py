@@ -6,8 +6,10 @@ import pytest
 
 pytest.importorskip("scipy")
 
+from tqdm import tqdm
+
 from train.evaluation import Row
-from train.progress import Progress, described, part_done
+from train.progress import BAR, Progress, described, part_done
 
 ROWS = [Row(0, 0.0, 0.25, 0.2, 0.3, 1.0, 1.0, 0.0, 0), Row(5, 1.0, 0.9, 0.8, 1.0, 2.0, 0.5, 0.0, 0)]
 
@@ -47,3 +49,21 @@ def test_it_fits_a_terminal_and_goes_on(
     quiet.show(5, 1.0, ROWS)
     quiet.close()
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("score", [{}, {"score": -0.123}])
+def test_the_bar_of_cloning_fits_a_terminal(
+    score: dict[str, float], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A terminal of 80 columns cuts nothing off, and some of it is a bar."""
+    monkeypatch.setenv("COLUMNS", "80")
+    course = pytest.importorskip("train.course")
+    text = course.described(40, 40, {"loss": 0.25, "held_out": 0.0123456, **score})
+    assert text == "40 of 40 rounds, error 0.0123" + (", score -0.123" if score else "")
+    bar = tqdm(total=1, bar_format=BAR, ncols=80)
+    bar.set_description_str(text)
+    bar.update()
+    bar.close()
+    last = capsys.readouterr().err.rstrip("\n").split("\r")[-1]
+    assert text in last and last.endswith("left]")
+    assert len(last) <= 80 and last.startswith("100 %|█████")

@@ -63,7 +63,7 @@ def test_followers_and_offsets() -> None:
         ("gusts=1", "gusts"),
         ("vehicle.weight=1", "vehicle.weight = 1: expected one of mass"),
         ("wheels.mass=1", "wheels = 1: expected one of the fields scenario"),
-        ("vehicle.mass=-1", "mass = -1"),
+        ("vehicle.mass=-1", "scenario nominal: vehicle.mass = -1"),
         ("gust.x=1", "gust.x = 1: expected gust to be set as a whole"),
         ("vehicle.mass.x=1", "vehicle.mass.x = 1: expected vehicle.mass to be set as a whole"),
         ("trajectory.radius=3", "trajectory.radius = 3: expected trajectory to be set as a whole"),
@@ -75,6 +75,15 @@ def test_what_cannot_be_set_is_named(word: str, message: str) -> None:
         flown(word)
     assert message in str(refusal.value)
     assert len(str(refusal.value)) <= 560
+
+
+@pytest.mark.parametrize(
+    "words", [("mass=0.05", "thrust_max=0.9"), ("thrust_max=0.9", "mass=0.05")]
+)
+def test_parts_are_set_at_once(words: tuple[str, str]) -> None:
+    """The default mass is too heavy for the thrust: which is given first does not matter."""
+    vehicle = flown(*(f"vehicle.{word}" for word in words))["nominal"].vehicle
+    assert (vehicle.mass, vehicle.thrust_max) == (0.05, 0.9)
 
 
 @pytest.mark.parametrize(

@@ -178,7 +178,7 @@ def test_impossible_options_are_one_line(
         main([*words, "--output", f"{tmp_path / 'out'}"])
     assert stopped.value.code == 2
     said = capsys.readouterr().err
-    assert said.startswith("train.tune_expert: error: ") and message in said
+    assert said.startswith("formation-tune-expert: error: ") and message in said
     assert said.count("\n") == 1
     assert not (tmp_path / "out").exists()
 

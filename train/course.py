@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
+from collections.abc import Mapping
 from dataclasses import replace
 from math import cos, pi
 from time import perf_counter
@@ -14,18 +15,26 @@ import torch
 
 import formation_env
 from baselines import files, make_policy
+from baselines.console import Lenient
 from baselines.progress import compiling
 from baselines.writing import Claim, claim
 from train.checkpoint import write
 from train.cloning import Clone, Flight, Memory
 from train.evaluation import Judge, Row, line, to_csv
 from train.imitate import Options
+from train.progress import BAR
 
 BEST, LOG = "best.safetensors", "log.csv"
 
 _HELD_OUT = 8  # one world of so many
 _TAUGHT = 0.2  # part of the worlds that the teacher keeps, unless even less is asked for
 _LAST_RATE = 0.005  # of the learning rate, at the end
+
+
+def described(done: int, rounds: int, figures: Mapping[str, float]) -> str:
+    """How many rounds are done, the error on held-out worlds and the latest score; it fits 80 columns."""
+    score = f", score {figures['score']:.3f}" if "score" in figures else ""
+    return f"{done} of {rounds} rounds, error {figures['held_out']:.3g}{score}"
 
 
 @final
@@ -74,6 +83,7 @@ class Course:
             lambda i: _LAST_RATE + (1.0 - _LAST_RATE) * 0.5 * (1.0 + cos(pi * i / total)),
         )
         self.rows: list[Row] = []
+        self._judge = Judge(config, options.episodes)  # flies, and so compiles what it needs
         self._begun = perf_counter()
 
     # -- rounds -----------------------------------------------------------------------------------
@@ -84,21 +94,30 @@ class Course:
             self._rounds()
 
     def _rounds(self) -> None:
-        from tqdm import trange
+        from tqdm import tqdm
 
         o = self.options
-        with compiling(o.quiet):  # before the bar counts time
-            judge = Judge(self.config, o.episodes)
         self._begun = perf_counter()
-        with _board(o) as board, trange(o.rounds, disable=o.quiet, unit=" rounds") as bar:
-            for number in bar:
+        with (
+            _board(o) as board,
+            tqdm(
+                total=o.rounds,
+                bar_format=BAR,
+                disable=o.quiet,
+                miniters=0,
+                file=Lenient(),
+                dynamic_ncols=True,
+            ) as bar,
+        ):
+            for number in range(o.rounds):
                 self._fly(number)
                 figures = {"loss": self._learn(), "held_out": self._held_out()}
                 if (number + 1) % o.evaluate_every == 0 or number + 1 == o.rounds:
-                    self._evaluate(judge)
+                    self._evaluate()
                 if self.rows:
                     figures["score"] = self.rows[-1].score
-                bar.set_postfix({name: f"{x:.4f}" for name, x in figures.items()})
+                bar.set_description_str(described(number + 1, o.rounds, figures), refresh=False)
+                bar.update()
                 for name, x in figures.items():
                     board.add_scalar(f"imitation/{name}", x, self.samples)
 
@@ -147,7 +166,7 @@ class Course:
 
     # -- scoring and files ------------------------------------------------------------------------
 
-    def _evaluate(self, judge: Judge) -> None:
+    def _evaluate(self) -> None:
         """One line of the log, and the policy if it is the best so far."""
         o = self.options
         minutes = (perf_counter() - self._begun) / 60.0
@@ -162,7 +181,7 @@ class Course:
             package=formation_env.__version__,
         )
         network = self.clone.network()
-        score, columns = judge.judge(card, network)
+        score, columns = self._judge.judge(card, network)
         row = line(self.samples, minutes, score, columns, o.seed)
         best = all(row.score > other.score for other in self.rows)
         self.rows.append(row)

@@ -161,24 +161,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
             from train.course import Course
     except ModuleNotFoundError as problem:
         return fail(
-            PROGRAM, f'{problem.name} is not installed: pip install "formation-env[train]"', 2
+            SCRIPT, f'{problem.name} is not installed: pip install "formation-env[train]"', 2
         )
     options = read(Options, SCRIPT, arguments)
     try:
         course = Course(options)
     except ValueError as problem:
-        return fail(PROGRAM, problem, 2)
+        return fail(SCRIPT, problem, 2)
     except OSError as problem:
-        return fail(PROGRAM, f"cannot write into {problem.filename}: {problem.strerror}", 2)
+        return fail(SCRIPT, f"cannot write into {problem.filename}: {problem.strerror}", 2)
     except KeyboardInterrupt:
-        return fail(PROGRAM, "interrupted: nothing was written", 130)
+        return fail(SCRIPT, "interrupted: nothing was written", 130)
     try:
         course.take()
     except OSError as problem:
         where = f"{problem.filename}: " if problem.filename else ""
-        return fail(PROGRAM, f"{where}{problem.strerror or problem}; earlier files are intact", 1)
+        return fail(SCRIPT, f"{where}{problem.strerror or problem}; earlier files are intact", 1)
     except KeyboardInterrupt:
-        return fail(PROGRAM, f"interrupted: {course.summary()}", 130)
+        return fail(SCRIPT, f"interrupted: {course.summary()}", 130)
     if not options.quiet:
         console.say(course.summary())
     return 0

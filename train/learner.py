@@ -22,6 +22,7 @@ from baselines import files
 from baselines.files import Card, Network
 from baselines.progress import compiling
 from baselines.writing import Claim, claim
+from formation_env._jit import untold
 from formation_env.checks import integer, number, require
 from train import checkpoint
 from train.actor_rate import Learner
@@ -244,11 +245,13 @@ def prepare(options: Options) -> Run:
     own = claim(options.output)
     try:
         if options.resume:
-            run = _resumed(path, options)
+            with untold():  # making the worlds compiles a little; `train` says so, with the rest
+                run = _resumed(path, options)
         elif path.exists():
             raise ValueError(f"{path} exists: go on with --resume, or choose another folder")
         else:
-            run = Run(options, _method(options, source), source)
+            with untold():
+                run = Run(options, _method(options, source), source)
     except BaseException:
         own.release()
         raise

@@ -21,7 +21,7 @@ from train.command_line import DIVERGED, diverged, fail, interruptions, read, wa
 if TYPE_CHECKING:
     from train.options import Options
 
-PROGRAM, SCRIPT = "train.ppo", "formation-train-ppo"
+SCRIPT = "formation-train-ppo"
 
 
 @console.command
@@ -40,18 +40,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if (problem.name or "").partition(".")[0] in ("train", "baselines", "formation_env"):
             raise
         return fail(
-            PROGRAM, f'{problem.name} is not installed: pip install "formation-env[train]"', 2
+            SCRIPT, f'{problem.name} is not installed: pip install "formation-env[train]"', 2
         )
     try:
         options = read(Options, SCRIPT, arguments)
     except ValueError as problem:
-        return fail(PROGRAM, problem, 2)
+        return fail(SCRIPT, problem, 2)
     try:
         run = prepare(options)
     except ValueError as problem:
-        return fail(PROGRAM, problem, 2)
+        return fail(SCRIPT, problem, 2)
     except OSError as problem:
-        return fail(PROGRAM, f"cannot write into {problem.filename}: {problem.strerror}", 2)
+        return fail(SCRIPT, f"cannot write into {problem.filename}: {problem.strerror}", 2)
+    except KeyboardInterrupt:
+        return fail(SCRIPT, "interrupted: nothing was written", 130)
     return _train(run, options)
 
 
@@ -61,14 +63,14 @@ def _train(run: Any, options: Options) -> int:
         with interruptions(options.quiet) as asked:
             run.train(stop=asked)
     except KeyboardInterrupt:
-        return fail(PROGRAM, "interrupted twice: the last checkpoint is intact", 130)
+        return fail(SCRIPT, "interrupted twice: the last checkpoint is intact", 130)
     except OSError as problem:
         where = f"{problem.filename}: " if problem.filename else ""
-        return fail(PROGRAM, f"{where}{problem.strerror or problem}; earlier files are intact", 1)
+        return fail(SCRIPT, f"{where}{problem.strerror or problem}; earlier files are intact", 1)
     except ValueError as problem:
         if not diverged(problem):
             raise
-        return fail(PROGRAM, f"{DIVERGED}; earlier files are intact", 1)
+        return fail(SCRIPT, f"{DIVERGED}; earlier files are intact", 1)
     if not options.quiet:
         console.say(run.summary())
     if options.profile:

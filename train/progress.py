@@ -10,7 +10,7 @@ from tqdm import tqdm
 from baselines.console import Lenient
 from train.evaluation import Row
 
-_FORMAT = "{percentage:3.0f} %|{bar}| {desc} [{elapsed}, {remaining} left]"
+BAR = "{percentage:3.0f} %|{bar}| {desc} [{elapsed}, {remaining} left]"
 
 
 def part_done(steps: int, minutes: float, most_steps: int, most_minutes: float | None) -> float:
@@ -47,7 +47,7 @@ class Progress:
             self._bar = tqdm(
                 total=1.0,
                 initial=part,
-                bar_format=_FORMAT,
+                bar_format=BAR,
                 disable=self._quiet,
                 miniters=0,
                 file=Lenient(),

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from train.rllib_options import Options
     from train.rllib_run import Saved
 
-PROGRAM, SCRIPT = "train.rllib", "formation-train-rllib"
+SCRIPT = "formation-train-rllib"
 
 
 @console.command
@@ -44,29 +44,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
             from train.rllib_run import prepare
     except ValueError as problem:
-        return fail(PROGRAM, problem, 2)
+        return fail(SCRIPT, problem, 2)
     except cluster.Unreachable as problem:
-        return fail(PROGRAM, problem, 2)
+        return fail(SCRIPT, problem, 2)
     except ModuleNotFoundError as problem:
         if (problem.name or "").partition(".")[0] in ("train", "baselines", "formation_env"):
             raise
-        return fail(
-            PROGRAM, f'{problem.name} is not installed: pip install "formation-env[ray]"', 2
-        )
+        return fail(SCRIPT, f'{problem.name} is not installed: pip install "formation-env[ray]"', 2)
     try:
         options, saved, own = prepare(options)
     except ValueError as problem:
-        return fail(PROGRAM, problem, 2)
+        return fail(SCRIPT, problem, 2)
     except OSError as problem:
-        return fail(PROGRAM, f"cannot write into {problem.filename}: {problem.strerror}", 2)
+        return fail(SCRIPT, f"cannot write into {problem.filename}: {problem.strerror}", 2)
     try:
         with own, cluster.joined(options.address, max(1, options.runners)) as ray, _quietly():
             return _train(ray, options, saved)
     except cluster.Unreachable as problem:
-        return fail(PROGRAM, problem, 2)
+        return fail(SCRIPT, problem, 2)
     except OSError as problem:
         where = f"{problem.filename}: " if problem.filename else ""
-        return fail(PROGRAM, f"{where}{problem.strerror or problem}; earlier files are intact", 1)
+        return fail(SCRIPT, f"{where}{problem.strerror or problem}; earlier files are intact", 1)
 
 
 @contextmanager
@@ -86,14 +84,14 @@ def _train(ray: Any, options: Options, saved: Saved | None) -> int:
         require_cores(ray, options)
         run = Run(options, saved)
     except ValueError as problem:
-        return fail(PROGRAM, problem, 2)
+        return fail(SCRIPT, problem, 2)
     try:
         with interruptions() as asked:
             run.train(stop=asked)
     except KeyboardInterrupt:
-        return fail(PROGRAM, "interrupted twice: the last checkpoint is intact", 130)
+        return fail(SCRIPT, "interrupted twice: the last checkpoint is intact", 130)
     except ray.exceptions.RayError as problem:
-        return fail(PROGRAM, f"the cluster gave up ({problem}); the last checkpoint is intact", 1)
+        return fail(SCRIPT, f"the cluster gave up ({problem}); the last checkpoint is intact", 1)
     finally:
         run.close()
     if not options.quiet:

@@ -346,7 +346,7 @@ def _finalists(options: Options, config: FormationConfig, journal: Journal) -> l
 
 
 def _refuse(message: object) -> NoReturn:
-    print(f"{PROGRAM}: error: {message}", file=sys.stderr)
+    print(f"{SCRIPT}: error: {message}", file=sys.stderr)
     raise SystemExit(2)
 
 
@@ -364,7 +364,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ValueError as problem:
         _refuse(problem)
     except OSError as problem:
-        print(f"{PROGRAM}: error: {problem}; earlier files are kept", file=sys.stderr)
+        print(f"{SCRIPT}: error: {problem}; earlier files are kept", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("interrupted: --resume goes on where the journal ends", file=sys.stderr)

@@ -65,6 +65,7 @@ class FollowerVecEnv(Fixed, VecEnv):
         followers: int | None = None,
         **options: Any,
     ) -> None:
+        worlds = integer("worlds", worlds, 1)
         history = integer("history", history, 1, LONGEST_HISTORY)
         residual = number("residual", residual, 0.0, 1.0, strict=False)
         critic = choice("critic", critic, ("local", "central"))
@@ -77,8 +78,7 @@ class FollowerVecEnv(Fixed, VecEnv):
             threads=threads,
             render_mode=render_mode,
         )
-        self.worlds, self.followers = self.envs.num_envs, self.config.followers
-        worlds = self.worlds
+        self.worlds, self.followers = worlds, self.config.followers
         self.entries = self.config.layout.size
         self.own = history * self.entries  # of an observation's numbers, those the actor may see
         self.seconds = 0.0  # in the simulation, since construction

@@ -35,16 +35,25 @@ class Cost(NamedTuple):
     tracking_rms: float  # m, of |p - p_d| of the vehicles behind their virtual followers
 
 
-_WIDTHS = (5, 46, 22, 46, 5)
 _HEAD = ("fig.", "claim", "paper", "measured", "holds")
+_GAP = 2
 
 
-def _line(cells: Sequence[str]) -> list[str]:
-    wrapped = [textwrap.wrap(c, w) or [""] for c, w in zip(cells, _WIDTHS, strict=True)]
+def _widths(width: int) -> tuple[int, ...]:
+    """Columns of each cell where a line has `width`."""
+    left = width - 2 * 5 - _GAP * (len(_HEAD) - 1)
+    paper = left // 4
+    claim = (left - paper) // 2
+    return (5, claim, paper, left - paper - claim, 5)
+
+
+def _line(cells: Sequence[str], widths: Sequence[int]) -> list[str]:
+    wrapped = [textwrap.wrap(c, w) or [""] for c, w in zip(cells, widths, strict=True)]
     height = max(map(len, wrapped))
     rows = ([part[i] if i < len(part) else "" for part in wrapped] for i in range(height))
     return [
-        "  ".join(x.ljust(w) for x, w in zip(row, _WIDTHS, strict=True)).rstrip() for row in rows
+        (" " * _GAP).join(x.ljust(w) for x, w in zip(row, widths, strict=True)).rstrip()
+        for row in rows
     ]
 
 
@@ -52,14 +61,14 @@ def _figures(numbers: Sequence[int]) -> str:
     return ", ".join(map(str, numbers)) or "-"
 
 
-def claim_table(claims: Sequence[Claim]) -> str:
-    """The claims as text, with the notes on those that do not hold below."""
-    rule = "-" * (sum(_WIDTHS) + 2 * (len(_WIDTHS) - 1))
-    lines = [*_line(_HEAD), rule]
+def claim_table(claims: Sequence[Claim], width: int = 100) -> str:
+    """The claims as text in lines of `width` columns, with the notes on those that do not hold below."""
+    rule, widths = "-" * width, _widths(width)
+    lines = [*_line(_HEAD, widths), rule]
     for c in claims:
         verdict = "yes" if c.holds else "NO"
         lines += _line(
-            (_figures(c.figures), f"{c.section}: {c.text}", c.paper, c.measured, verdict)
+            (_figures(c.figures), f"{c.section}: {c.text}", c.paper, c.measured, verdict), widths
         )
         lines.append("")
     lines[-1] = rule
@@ -67,7 +76,7 @@ def claim_table(claims: Sequence[Claim]) -> str:
     lines.append(f"{held} of {len(claims)} claims hold.")
     for c in claims:
         if not c.holds:
-            lines += textwrap.wrap(f"{c.id}: {c.note}", len(rule), subsequent_indent="  ")
+            lines += textwrap.wrap(f"{c.id}: {c.note}", width, subsequent_indent="  ")
     return "\n".join(lines)
 
 
@@ -76,5 +85,5 @@ def cost_table(costs: Sequence[Cost]) -> str:
     lines = ["Third and fourth derivatives of the planner's reference (default: zero)"]
     for c in costs:
         error = f"{1e3 * c.tracking_rms:9.4f} mm"
-        lines.append(f"  {c.setting:46} {c.feedforward:22} {error}")
+        lines.append(f"  {c.setting:32} {c.feedforward:24} {error}")
     return "\n".join([*lines, "  RMS of |p - p_d| in the steady state."])
