@@ -48,7 +48,8 @@ def command(main: Main) -> Callable[..., int]:
 
     Where the reader of a pipe has gone, what is left to print is dropped without a word and the status is
     that of the work: 0. A standard output that fails in another way is one line on the standard error
-    and status 1. Neither ends in a traceback, nor in one when the interpreter exits.
+    and status 1. Neither ends in a traceback, nor in one when the interpreter exits; nor does Ctrl-C while
+    libraries are imported, with status 130.
     """
 
     @wraps(main)
@@ -65,6 +66,9 @@ def command(main: Main) -> Callable[..., int]:
                 return 0
             complain(f"error: cannot print: {getattr(problem, 'strerror', None) or problem}")
             return 1
+        except KeyboardInterrupt:  # before or after the work, which says itself what became of it
+            complain("interrupted")
+            return 130
         return status
 
     return guarded

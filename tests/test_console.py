@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 from numba.core import event
 
-from baselines import progress, scoring
+from baselines import console, progress, scoring
 from formation_env import configure
 from formation_env._jit import kernel
 
@@ -85,6 +86,17 @@ def compile_something() -> None:
 
 
 @pytest.mark.skipif(not hasattr(a_kernel, "targetoptions"), reason="nothing is compiled")
+def test_an_interruption_outside_of_the_work_is_one_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    @console.command
+    def main(arguments: Sequence[str] | None = None) -> int:
+        raise KeyboardInterrupt
+
+    assert main([]) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
 def test_compiling_that_is_interrupted_is_not_done(capsys: pytest.CaptureFixture[str]) -> None:
     def interrupted() -> None:
         with progress.compiling():

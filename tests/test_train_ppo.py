@@ -489,6 +489,21 @@ def test_a_full_disk_is_one_error_and_earlier_files_stay(
     assert files(tmp_path) == before
 
 
+def test_an_interruption_while_compiling_ends_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing is lost then, so nothing is waited for: Ctrl-C is not put off until an update is over."""
+
+    def interrupt(*args: Any) -> None:
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(train.learner, "Judge", interrupt)
+    assert ppo.main(["--output", str(tmp_path / "run"), "--quiet"]) == 130
+    assert "interrupted: nothing was written" in capsys.readouterr().err
+    assert not (tmp_path / "run" / "checkpoint.safetensors").exists()
+
+
 def test_an_interruption_saves(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

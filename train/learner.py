@@ -146,16 +146,20 @@ class Run:
 
     # -- training ---------------------------------------------------------------------------------
 
+    def compile(self) -> None:
+        """Compile what is not compiled yet. `train` does it too; apart from it Ctrl-C takes effect at once."""
+        with compiling(self.options.quiet):
+            _ = self.judge
+
     def train(self, stop: Callable[[], bool] = lambda: False) -> None:
         """Train to the limit, or until `stop` says so between two updates; then the folder is released."""
         o = self.options
-        with compiling(o.quiet):
-            judge = self.judge
+        self.compile()
         bar = Progress(o.steps, o.minutes, o.quiet)
         self._keeper = Keeper(
             o.output,
             self.diary,
-            judge,
+            self.judge,
             self.made,
             lambda path, made: files.save(path, *made),
             self.save,

@@ -48,6 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return fail(SCRIPT, problem, 2)
     try:
         run = prepare(options)
+        run.compile()
     except ValueError as problem:
         return fail(SCRIPT, problem, 2)
     except OSError as problem:
