@@ -74,7 +74,7 @@ def test_what_the_explanation_says_works() -> None:
 
 # -- seeds ------------------------------------------------------------------------------------------
 
-BAD_SEEDS = [1.9, 2.0, True, "1", -1, np.float64(3.0), np.bool_(True), 1j, b"1"]
+BAD_SEEDS = [1.9, 2.0, True, "1", -1, np.float64(3.0), np.bool_(True), 1j, b"1", np.timedelta64(3)]
 
 
 @pytest.mark.parametrize("face", FACES)
@@ -99,7 +99,9 @@ def test_nor_is_one_of_many(bad: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "seeds", [np.array([1.9, 2.9]), np.array([True, False]), np.array(7), b"12", {1, 2}], ids=repr
+    "seeds",
+    [np.array([1.9, 2.9]), np.array([True, False]), np.array(7), b"12", bytearray(b"12"), {1, 2}],
+    ids=repr,
 )
 def test_nor_are_other_collections(seeds: Any) -> None:
     envs = FormationVectorEnv(2)
