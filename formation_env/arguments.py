@@ -9,6 +9,7 @@ from typing import Any
 from formation_env.checks import integer, refuse, unexpected_keyword
 from formation_env.config import FormationConfig
 from formation_env.scenarios import configure
+from formation_env.world import MAX_TICKS
 
 FIELDS = tuple(f.name for f in fields(FormationConfig) if f.name != "scenario")
 
@@ -49,12 +50,11 @@ def limit(name: str, steps: Any, config: FormationConfig) -> int:
     """A number of steps after which episodes are truncated; refused above those of the duration."""
     whole = integer(name, steps, 1)
     if whole > config.max_steps:
-        refuse(
-            name,
-            whole,
-            f"at most {config.max_steps}, the steps of duration = {config.duration:g} s; for longer "
-            f"episodes give duration={whole * config.control_period:g} as well",
-        )
+        expected = f"at most {config.max_steps}, the steps of duration = {config.duration:g} s"
+        if whole <= MAX_TICKS:
+            longer = whole * config.control_period
+            expected += f"; for longer episodes give duration={longer:g} as well"
+        refuse(name, whole, expected)
     return whole
 
 
