@@ -19,7 +19,7 @@ from formation_env.checks import boolean, choice, integer, number, refuse
 from formation_env.formation_v0 import parallel_env
 from formation_env.memory import REWARD, SLOT, Results
 from formation_env.simulation import Snapshot
-from formation_env.vector import FormationVectorEnv
+from formation_env.vector import MOST_WORLDS, FormationVectorEnv
 
 Array = NDArray[Any]
 
@@ -66,6 +66,7 @@ class FollowerVecEnv(Fixed, VecEnv):
         followers: int | None = None,
         **options: Any,
     ) -> None:
+        worlds = integer("worlds", worlds, 1, MOST_WORLDS)
         history = integer("history", history, 1, LONGEST_HISTORY)
         residual = number("residual", residual, 0.0, 1.0, strict=False)
         critic = choice("critic", critic, ("local", "central"))
