@@ -301,6 +301,8 @@ class _Turns(parallel_to_aec_wrapper[str, Array, Array]):
         agent = self.agent_selection
         if not (self.terminations[agent] or self.truncations[agent]):
             action = self.env.take_action(agent, action)
+        elif action is not None:
+            refuse(f"action of {agent}", action, "None: its episode is over")
         super().step(action)
 
 

@@ -274,6 +274,20 @@ def test_taking_turns_a_bad_action_is_refused_in_its_agents_turn(bad: Any, turn:
     assert same(env.state(), untouched.state())
 
 
+def test_taking_turns_an_action_after_the_end_is_refused_and_it_goes_on() -> None:
+    env = formation_v0.env(max_cycles=1)
+    env.reset(seed=0)
+    for _ in env.possible_agents:
+        env.step(np.zeros(4, np.float32))
+    for agent in env.possible_agents:
+        with pytest.raises(
+            ValueError, match=rf"^action of {agent} = .*: expected None: its episode"
+        ):
+            env.step(np.zeros(4, np.float32))
+        env.step(None)
+    assert not env.agents
+
+
 def test_taking_turns_an_array_may_be_used_again() -> None:
     env, other = formation_v0.env(), formation_v0.env()
     env.reset(seed=1), other.reset(seed=1)
