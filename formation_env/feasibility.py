@@ -252,7 +252,8 @@ def _doubt(reports: list[Feasibility]) -> str:
     worst = max(reports, key=lambda report: hypot(*report.offset[:2]))
     inverting = [report for report in reports if report.inverts]
     all_of_them = "they all do" if len(reports) > 1 else "it does"
-    found = "none does" if not inverting else f"{_named(inverting)} do"
+    verb = "do" if len(inverting) > 1 else "does"
+    found = f"{_named(inverting)} {verb}" if inverting else "none does"
     found = all_of_them if len(inverting) == len(reports) else found
     return (
         f"the bound (29)-(30) against moving backwards does not hold for {_named(reports)}: "
