@@ -22,9 +22,9 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.reading import read_bytes
+from baselines.reading import file_name, read_bytes
 from baselines.writing import write_bytes
-from formation_env.checks import LONGEST
+from formation_env.checks import LONGEST, require, shown
 from formation_env.config import LEVELS
 from formation_env.task import Layout
 
@@ -82,8 +82,9 @@ class Card:
     version: int = VERSION
 
     def __post_init__(self) -> None:
-        _require(self.version == VERSION, "version", self.version, str(VERSION))
-        fits = self.layout == Layout.version
+        same = type(self.version) is int and self.version == VERSION
+        _require(same, "version", self.version, str(VERSION))
+        fits = type(self.layout) is int and self.layout == Layout.version
         _require(fits, "layout", self.layout, f"{Layout.version}, of this package")
         for name, known in (("action", LEVELS), ("activation", ACTIVATIONS)):
             value = getattr(self, name)
@@ -121,7 +122,7 @@ def _require(good: bool, name: str, value: object, expected: str) -> None:
 
 
 def _shown(value: object) -> str:
-    text = repr(value)
+    text = shown(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
@@ -255,7 +256,13 @@ def save(path: str | os.PathLike[str], card: Card, network: Network) -> None:
     """
     from safetensors.numpy import save as serialise
 
-    path = Path(path)
+    path = Path(file_name(path))
+    require(isinstance(card, Card), "card", card, "a Card")
+    require(isinstance(network, Network), "network", network, "a Network")
+    for name in ("weights", "biases"):
+        layers = getattr(network, name)
+        listed = isinstance(layers, (tuple, list))
+        require(listed, f"network.{name}", layers, "a tuple of arrays, one for each layer")
     try:
         if path.suffix != SUFFIX:
             raise ValueError(f"expected a name that ends in {SUFFIX}")
@@ -279,6 +286,7 @@ def load(path: str | os.PathLike[str]) -> tuple[Card, Network]:
     Raises `ValueError` naming the file, what was found and what was expected: no such file, not a file
     of this format, cut short, of another version or observation layout, or with wrong numbers.
     """
+    path = file_name(path)
     try:
         metadata, tensors = _parse(_read(path))
         card = _read_card(metadata.get(_KEY))

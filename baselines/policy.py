@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 from baselines.new_episodes import DOUBTFUL, NEW, Watch
 from baselines.observations import Rows, observed
 from formation_env import FormationConfig
-from formation_env.checks import integer, require
+from formation_env.checks import integer, refuse, require
 from formation_env.warning import warn_user
 
 __all__ = ["EpisodeWarning", "Policy", "Rows"]
@@ -95,7 +95,10 @@ class Policy(ABC):
         For worlds that are reset one by one: call it with the next observations still to come. Raises
         `ValueError` for any other shape or type.
         """
-        mask = np.asarray(mask)
+        try:
+            mask = np.asarray(mask)
+        except ValueError:  # rows of unequal length
+            refuse("mask", mask, "a bool array, an entry for each world of the last reset")
         if mask.shape != (self._worlds,) or mask.dtype != np.bool_:
             raise ValueError(
                 f"mask is {mask.dtype} {mask.shape}: expected bool ({max(self._worlds, 0)},), an entry "

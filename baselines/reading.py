@@ -8,6 +8,8 @@ import os
 import stat
 from typing import Any, NoReturn
 
+from formation_env.checks import require
+
 LARGEST = 64 * 2**20  # bytes
 
 _KINDS = {
@@ -17,6 +19,12 @@ _KINDS = {
     stat.S_IFCHR: "a device",
     stat.S_IFBLK: "a device",
 }
+
+
+def file_name(path: Any) -> str | os.PathLike[str]:
+    """`path`, if it is a path: raises `ValueError` for a number, which would be an open file's."""
+    require(isinstance(path, (str, os.PathLike)), "path", path, "the name of a file")
+    return path  # type: ignore[no-any-return]
 
 
 def require_regular(path: str | os.PathLike[str]) -> None:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from baselines.expert import Expert
 from baselines.files import told
 from baselines.policy import Policy, Rows
-from baselines.reading import read_bytes
+from baselines.reading import file_name, read_bytes
 from formation_env import FormationConfig, configure
 from formation_env.checks import choice, refuse, require, shown
 from formation_env.config import LEVELS
@@ -102,6 +102,7 @@ def read(path: str | os.PathLike[str] = GAINS) -> Table:
     Raises `ValueError` naming the file and what in it is not as expected: no regular file, not JSON,
     another version, a gain too many, missing, not finite or against a condition of the paper.
     """
+    path = file_name(path)
     try:
         text = read_bytes(path).decode("utf-8")
         document = json.loads(text, object_pairs_hook=_named_once)

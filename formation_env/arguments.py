@@ -9,8 +9,11 @@ from typing import Any
 from formation_env.checks import integer, refuse, unexpected_keyword
 from formation_env.config import FormationConfig
 from formation_env.scenarios import configure
+from formation_env.world import MAX_TICKS
 
 FIELDS = tuple(f.name for f in fields(FormationConfig) if f.name != "scenario")
+
+_CONFIGURED = frozenset(("scenario", *FIELDS))
 
 # Keywords of one face that are given to another, and what to write there.
 _NATIVE = (
@@ -49,12 +52,11 @@ def limit(name: str, steps: Any, config: FormationConfig) -> int:
     """A number of steps after which episodes are truncated; refused above those of the duration."""
     whole = integer(name, steps, 1)
     if whole > config.max_steps:
-        refuse(
-            name,
-            whole,
-            f"at most {config.max_steps}, the steps of duration = {config.duration:g} s; for longer "
-            f"episodes give duration={whole * config.control_period:g} as well",
-        )
+        expected = f"at most {config.max_steps}, the steps of duration = {config.duration:g} s"
+        if whole <= MAX_TICKS:
+            longer = whole * config.control_period
+            expected += f"; for longer episodes give duration={longer:g} as well"
+        refuse(name, whole, expected)
     return whole
 
 
@@ -79,12 +81,13 @@ def check_options(options: Any, *known: str, passed: str | None = None) -> None:
 
 
 class Fixed:
-    """Attributes that the constructor alone sets: assigned later, they would change nothing."""
+    """Attributes that the constructor alone sets, and fields of the configuration: assigned later, they
+    would change nothing."""
 
     _fixed: frozenset[str] = frozenset()
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if name in self._fixed and name in self.__dict__:
+        if name in _CONFIGURED or (name in self._fixed and name in self.__dict__):
             raise AttributeError(
                 f"{name!r} of {type(self).__name__} is fixed: make a new environment with it"
             )

@@ -19,11 +19,16 @@ from numpy.typing import NDArray
 LONGEST = 500  # characters of a message
 _SHOWN = 120  # of a value in it
 
+# By inheritance alone these are integers too.
+_NO_INTEGERS = (bool, np.bool_, np.timedelta64)
+_BYTES = (str, bytes, bytearray, memoryview)
+
 
 def shown(value: object) -> str:
     """`value` for a message: its `repr` if that is short, else its beginning, or an array's shape."""
     if isinstance(value, np.ndarray) and value.size > 8:
-        return f"array of shape {value.shape}, dtype {value.dtype}"
+        kind = "masked array" if isinstance(value, np.ma.MaskedArray) else "array"
+        return f"{kind} of shape {value.shape}, dtype {value.dtype}"
     if isinstance(value, (list, tuple)) and len(value) > 32:
         kind = type(value).__name__
         return f"{kind} of {len(value)} entries, the first {shown(value[0])}"
@@ -70,7 +75,7 @@ def number(
 
 def integer(name: str, value: Any, low: int, high: int | None = None) -> int:
     """`value` as a whole number from `low` to `high`, an `int`."""
-    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, _NO_INTEGERS)
     if not whole or int(value) < low or (high is not None and int(value) > high):
         limits = f"of at least {low}" if high is None else f"from {low} to {high}"
         refuse(name, value, f"an integer {limits}")
@@ -159,7 +164,7 @@ def _limits(low: float, high: float, strict: bool) -> str:
 
 def _real(value: Any) -> float | None:
     """A real, finite number as `float`; None for anything else."""
-    if isinstance(value, (bool, np.bool_)) or not isinstance(
+    if isinstance(value, _NO_INTEGERS) or not isinstance(
         value, (int, float, np.integer, np.floating)
     ):
         return None
@@ -172,13 +177,12 @@ def _real(value: Any) -> float | None:
 
 def _floats(value: Any) -> NDArray[np.float64] | None:
     """`value` as a new float64 array, not checked for NaN and infinity; None if it is not of numbers."""
-    if isinstance(value, np.ma.MaskedArray):
+    rows = value if isinstance(value, (list, tuple)) else ()
+    if _opaque(value) or any(map(_opaque, rows)):
         return None
     if isinstance(value, np.ndarray) and value.dtype.kind in "fiu":
         with np.errstate(over="ignore"):  # a long double can be beyond the range of float64
             return np.array(value, dtype=np.float64, order="C", subok=False)
-    if isinstance(value, (str, bytes)):
-        return None
     try:
         numbers = np.array(value, dtype=object)
     except (TypeError, ValueError):  # rows of unequal length
@@ -189,11 +193,16 @@ def _floats(value: Any) -> NDArray[np.float64] | None:
     return np.array(leaves, dtype=np.float64).reshape(numbers.shape)
 
 
+def _opaque(value: Any) -> bool:
+    """Whether NumPy would make numbers of what is none: of bytes, and of what a mask hides."""
+    return isinstance(value, (*_BYTES, np.ma.MaskedArray))
+
+
 def _leaf(value: Any) -> float | None:
     """A number as `float`, NaN and infinity included; None for what is not a number."""
     if isinstance(value, (float, np.floating)):
         return float(value)
-    if isinstance(value, (int, np.integer)) and not isinstance(value, (bool, np.bool_)):
+    if isinstance(value, (int, np.integer)) and not isinstance(value, _NO_INTEGERS):
         try:
             return float(value)
         except OverflowError:

@@ -243,9 +243,10 @@ class FormationParallelEnv(Fixed, ParallelEnv[str, Array, Array]):
             simulation.angular_velocities[0],
         ]
         flat = [np.concatenate(parts, axis=1).ravel(), simulation.slots.ravel()]
-        state = np.concatenate([*flat, simulation.started.astype(np.float64)]).astype(np.float32)
         low, high = self.state_space.low, self.state_space.high
         # Of a vehicle that has left the numbers, whose episode has ended, the state is finite all the same.
+        with np.errstate(over="ignore"):
+            state = np.concatenate([*flat, simulation.started]).astype(np.float32)
         return np.clip(np.nan_to_num(state, copy=False, posinf=np.inf, neginf=-np.inf), low, high)
 
     def render(self) -> Any:
@@ -300,6 +301,8 @@ class _Turns(parallel_to_aec_wrapper[str, Array, Array]):
         agent = self.agent_selection
         if not (self.terminations[agent] or self.truncations[agent]):
             action = self.env.take_action(agent, action)
+        elif action is not None:
+            refuse(f"action of {agent}", action, "None: its episode is over")
         super().step(action)
 
 

@@ -160,13 +160,15 @@ class FormationVectorEnv(Fixed, VectorEnv[Array, Array, Array]):
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
             return [None] * self.num_envs
-        several = isinstance(seed, Sequence) and not isinstance(seed, (str, bytes))
+        several = isinstance(seed, Sequence) and not isinstance(seed, (str, bytes, bytearray))
         if isinstance(seed, np.ndarray) and seed.ndim == 1:
             several = not isinstance(seed, np.ma.MaskedArray)
         if not several:
-            if isinstance(seed, (int, np.integer)) and not isinstance(seed, bool) and seed >= 0:
-                return [int(seed) + i for i in range(self.num_envs)]
-            refuse("seed", seed, "an integer of at least 0, one for each world, or None")
+            try:
+                first = integer("seed", seed, 0)
+            except ValueError:
+                refuse("seed", seed, "an integer of at least 0, one for each world, or None")
+            return [first + i for i in range(self.num_envs)]
         seeds: Any = seed
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed has {len(seeds)} entries: expected {self.num_envs}")

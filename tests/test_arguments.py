@@ -74,7 +74,7 @@ def test_what_the_explanation_says_works() -> None:
 
 # -- seeds ------------------------------------------------------------------------------------------
 
-BAD_SEEDS = [1.9, 2.0, True, "1", -1, np.float64(3.0), np.bool_(True), 1j, b"1"]
+BAD_SEEDS = [1.9, 2.0, True, "1", -1, np.float64(3.0), np.bool_(True), 1j, b"1", np.timedelta64(3)]
 
 
 @pytest.mark.parametrize("face", FACES)
@@ -99,7 +99,9 @@ def test_nor_is_one_of_many(bad: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "seeds", [np.array([1.9, 2.9]), np.array([True, False]), np.array(7), b"12", {1, 2}], ids=repr
+    "seeds",
+    [np.array([1.9, 2.9]), np.array([True, False]), np.array(7), b"12", bytearray(b"12"), {1, 2}],
+    ids=repr,
 )
 def test_nor_are_other_collections(seeds: Any) -> None:
     envs = FormationVectorEnv(2)
@@ -164,6 +166,14 @@ def test_what_is_fixed_cannot_be_assigned(face: str, name: str) -> None:
         setattr(pickle.loads(pickle.dumps(env)), name, before)  # a copy is as strict
 
 
+@pytest.mark.parametrize("face", [*FACES, "make"])
+@pytest.mark.parametrize("name", ["scenario", "duration", "gust", "vehicle", "offsets"])
+def test_a_field_of_the_configuration_cannot_be_assigned(face: str, name: str) -> None:
+    env = MAKERS[face]().unwrapped
+    with pytest.raises(AttributeError, match=rf"'{name}' of \w+ is fixed: make a new environment"):
+        setattr(env, name, 1.0)
+
+
 def test_a_wrapper_does_not_assign_it_either() -> None:
     env = gym.make(ID)
     with pytest.raises(AttributeError, match="'config' of FormationEnv is fixed"):
@@ -193,6 +203,18 @@ def test_the_number_of_worlds_is_a_whole_number(value: Any) -> None:
 def test_counts_are_whole_numbers(face: str, name: str, value: Any) -> None:
     with pytest.raises(ValueError, match=f"{name} = .*: expected an integer"):
         MAKERS[face](**{name: value})
+
+
+@pytest.mark.parametrize(
+    "steps", [1001, 2**64, 10**400], ids=lambda n: f"{n:e}"[:6] if n < 2**99 else "huge"
+)
+def test_a_limit_beyond_the_duration_is_refused_however_large(steps: int) -> None:
+    """A longer duration is proposed only where there is one."""
+    for face, name in (("FormationVectorEnv", "max_episode_steps"), ("parallel_env", "max_cycles")):
+        with pytest.raises(ValueError, match=f"^{name} = .*: expected at most 1000") as caught:
+            MAKERS[face](**{name: steps})
+        assert ("give duration=" in str(caught.value)) == (steps < 2**40)
+        assert len(str(caught.value)) <= LONGEST
 
 
 @pytest.mark.parametrize("face", FACES)
@@ -258,6 +280,20 @@ def test_taking_turns_a_bad_action_is_refused_in_its_agents_turn(bad: Any, turn:
             untouched.step(np.full(4, 0.1 * i, np.float32))
             assert same(env.last(), untouched.last())
     assert same(env.state(), untouched.state())
+
+
+def test_taking_turns_an_action_after_the_end_is_refused_and_it_goes_on() -> None:
+    env = formation_v0.env(max_cycles=1)
+    env.reset(seed=0)
+    for _ in env.possible_agents:
+        env.step(np.zeros(4, np.float32))
+    for agent in env.possible_agents:
+        with pytest.raises(
+            ValueError, match=rf"^action of {agent} = .*: expected None: its episode"
+        ):
+            env.step(np.zeros(4, np.float32))
+        env.step(None)
+    assert not env.agents
 
 
 def test_taking_turns_an_array_may_be_used_again() -> None:

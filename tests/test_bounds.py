@@ -142,7 +142,7 @@ def test_more_substeps_follow_more() -> None:
         ),
         (
             {"duration": 10**20},
-            r"^duration = 1e\+20: .*at most 2\^53 control periods = 1\.80144e\+14",
+            r"^duration = 1e\+20: .*at most 2\^40 control periods = 2\.19902e\+10",
         ),
         ({"duration": 10**400}, r"^duration = 1.*: expected a finite number above 0$"),
         ({"duration": inf}, r"^duration = inf: expected a finite number above 0$"),
@@ -162,7 +162,7 @@ def test_an_episode_without_end_is_accepted(scenario: str) -> None:
     assert config.max_steps == round(1e9 / config.control_period)
     longest = MAX_TICKS * config.control_period
     assert configure(scenario, duration=0.999 * longest).max_steps <= MAX_TICKS
-    with pytest.raises(ValueError, match=r"^duration = .*at most 2\^53 control periods"):
+    with pytest.raises(ValueError, match=r"^duration = .*at most 2\^40 control periods"):
         configure(scenario, duration=1.001 * longest)
 
 

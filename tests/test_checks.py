@@ -27,6 +27,7 @@ from formation_env.checks import (
 NOT_NUMBERS: tuple[Any, ...] = (
     *(True, np.True_, "1", b"1", None, 1j, np.complex128(1.0), Decimal(1), [1.0], np.zeros(())),
     *(nan, inf, -inf, np.float32(nan), np.longdouble("1e4000"), 10**400),
+    *(np.timedelta64(3), np.timedelta64(3, "s"), np.datetime64("2020")),
 )
 
 
@@ -54,7 +55,9 @@ def test_bounds_of_a_number() -> None:
         number("x", 4, high=3.0)
 
 
-@pytest.mark.parametrize("value", [True, 1.0, "1", None, np.float64(1), 0, -1, 9, 2**64, 10**400])
+@pytest.mark.parametrize(
+    "value", [True, 1.0, "1", None, np.float64(1), 0, -1, 9, 2**64, 10**400, np.timedelta64(3, "s")]
+)
 def test_what_is_not_an_integer_in_range_is_refused(value: Any) -> None:
     with pytest.raises(ValueError, match=r"^n = .*: expected an integer from 1 to 8$"):
         integer("n", value, 1, 8)
@@ -96,6 +99,12 @@ MASKED = np.ma.masked_array([[1.0, 2.0, 3.0]], mask=[[False, True, False]])
         (np.zeros((2, 3), complex), r"^p = .*: expected rows of 3"),
         (np.full((1, 3), np.longdouble("1e4000")), r"^p\[0\] = \[inf, inf, inf\]"),
         (MASKED, r"^p = .*: expected rows of 3"),
+        (list(MASKED), r"^p\[0\] = .*: expected rows of 3"),
+        (np.ma.zeros((6000, 3)), r"^p = masked array of shape \(6000, 3\), .*: expected rows of 3"),
+        ([[0, 0, 0], bytearray(b"abc")], r"^p\[1\] = bytearray.*: expected rows of 3"),
+        ([memoryview(b"abc")], r"^p\[0\] = .*: expected rows of 3"),
+        ([[0, 0, np.timedelta64(3, "s")]], r"^p\[0\] = .*: expected rows of 3"),
+        (np.zeros((0, 3)), r"^p = .*: expected rows of 3"),
         ("abc", r"^p = 'abc': expected rows of 3"),
         ({"a": 1}, r"^p = \{'a': 1\}: expected rows of 3"),
         (None, r"^p = None: expected rows of 3"),

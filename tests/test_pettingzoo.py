@@ -158,7 +158,7 @@ def test_info_holds_only_arrays_and_numbers() -> None:
         }
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])
 def test_state_is_finite_when_a_vehicle_has_left_the_numbers(value: float) -> None:
     env = formation_v0.parallel_env()
     env.reset(seed=0)

@@ -27,6 +27,7 @@ from baselines.learned import Learned, Misfit
 from baselines.policy import Policy
 from baselines.scoring import enlist, evaluate
 from baselines.transfer import TransferWarning
+from baselines.tuned import read
 from formation_env import FeasibilityWarning, FormationConfig, configure
 from formation_env.checks import LONGEST
 from formation_env.scenarios import PAPER_NOISE
@@ -218,6 +219,8 @@ def test_files_that_are_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         ("residual", -0.1, "residual = -0.1"),
         ("residual", "big", "residual = 'big': expected a number"),
         ("clip", 0, "clip = 0"),
+        ("version", True, "version = True: expected 1"),
+        ("layout", True, "layout = True: expected 1"),
         ("seed", -1, "seed = -1"),
         ("steps", None, "steps = None"),
         ("minutes", [], "minutes = "),
@@ -334,6 +337,20 @@ def test_save_refuses_what_load_would(tmp_path: Path) -> None:
         save(path, replace(own, history=2), good)
     with pytest.raises(ValueError, match=r"ends in \.safetensors"):
         save(tmp_path / "policy.zip", own, good)
+    bad: Any
+    for bad in (None, 5, {}, asdict(own), "x" * 9999):
+        with pytest.raises(ValueError, match=r"^card = .*: expected a Card$"):
+            save(path, bad, good)
+        with pytest.raises(ValueError, match=r"^network = .*: expected a Network$"):
+            save(path, own, bad)
+    for bad in (None, 5, True, b"x", [path]):
+        for use in (load, read, lambda name: save(name, own, good)):
+            with pytest.raises(ValueError, match=r"^path = .*: expected the name of a file$"):
+                use(bad)
+    for name in ("weights", "biases"):
+        for bad in (None, 5, np.zeros(()), {}):
+            with pytest.raises(ValueError, match=rf"^network\.{name} = .*: expected a tuple of"):
+                save(path, own, good._replace(**{name: bad}))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -624,11 +641,13 @@ def test_the_expert_restarts_worlds_one_by_one(level: str, record: bool) -> None
     assert not np.array_equal(mixed.act(seen[0])[mask], going.act(seen[0])[mask])
 
 
-@pytest.mark.parametrize("mask", [np.ones(3, bool), np.ones((2, 1), bool), np.array([0, 1]), True])
+@pytest.mark.parametrize(
+    "mask", [np.ones(3, bool), np.ones((2, 1), bool), np.array([0, 1]), True, [[1, 2], [3]]]
+)
 def test_a_mask_that_is_none(mask: Any) -> None:
     policy = make_policy("expert", NOMINAL)
     policy.reset(worlds=2)
-    with pytest.raises(ValueError, match=r"expected bool \(2,\)"):
+    with pytest.raises(ValueError, match=r"^mask .*expected (bool \(2,\)|a bool array)"):
         policy.restart(mask)
 
 

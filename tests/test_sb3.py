@@ -65,6 +65,7 @@ def test_an_unknown_keyword_of_the_bridge_is_a_type_error() -> None:
         ("critic", ["central"]),
         ("stagger", 1),
         ("reward_scale", np.inf),
+        ("reward_scale", 1e300),
         ("seed_offset", -1),
         ("threads", 0),
     ],
@@ -97,6 +98,24 @@ def test_actions_of_the_bridge_are_an_array_of_numbers() -> None:
     for actions in (np.zeros((4, 3)), np.zeros((4, 4), bool), [["0"] * 4] * 4, np.zeros((2, 8))):
         with pytest.raises(ValueError, match=r"^actions has "):
             rows.step(actions)  # type: ignore[arg-type]
+
+
+def test_a_central_critic_sees_numbers_whatever_is_flown() -> None:
+    """Bodies that a tumble takes beyond what can be computed, as the last observation shows."""
+    rod = {"inertia": (1e-12, 4.3121e-8, 4.3122e-8), "thrust_max": 9.81}
+    rod["moment_max"] = (3.8e-9, 4.3121e-8, 4.3122e-4)
+    rows = FollowerVecEnv("paper", 17, critic="central", vehicle=rod)
+    observed = rows.reset()
+    draw = np.random.default_rng(0)
+    lost = 0
+    for _ in range(60):
+        assert all(rows.observation_space.contains(row) for row in observed)
+        observed, _, _, infos = rows.step(draw.choice([-1.0, 1.0], (34, 4)).astype(np.float32))
+        for info in infos:
+            if "terminal_observation" in info:
+                assert rows.observation_space.contains(info["terminal_observation"])
+                lost += 1
+    assert lost
 
 
 def test_a_spoiled_state_of_the_bridge_is_refused() -> None:

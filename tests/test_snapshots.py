@@ -175,6 +175,13 @@ def test_counters_out_of_range_are_refused(row: int, value: int, name: str, lane
     refused(flight, snapshot, rf"counters\[{name}\]\[{lane}\] = {value}: expected")
 
 
+def test_a_reference_clock_ahead_of_the_ticks_is_refused() -> None:
+    flight = flown("nominal")
+    snapshot = flight.get_state()
+    snapshot.state["counters"][CLOCK, 1] = snapshot.state["counters"][TICK, 1] + 1
+    refused(flight, snapshot, r"counters\[clock\]\[1\] = .*no more than the ticks flown")
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("name", ["vehicles", "samples", "followers", "begins", "speeds", "tables"])
 def test_numbers_that_are_not_finite_are_refused(name: str, value: float) -> None:
@@ -211,8 +218,9 @@ def test_other_numbers_are_refused_by_name() -> None:
     )
     agile = flown("agile")
     snapshot = agile.get_state()
-    snapshot.state["tables"][2, 0] = 1e9
-    refused(agile, snapshot, r"tables\[2\] = 1000000000.0: expected 3 harmonics")
+    for harmonics in (1e9, 4.0, 0.0, 2.9, -1.0):
+        snapshot.state["tables"][2, 0] = harmonics
+        refused(agile, snapshot, rf"tables\[2\] = {harmonics}: expected 3 harmonics")
 
 
 # -- mutations at random ----------------------------------------------------------------------------------

@@ -193,6 +193,34 @@ def test_the_constants_are_those_of_the_proof() -> None:
         np.testing.assert_allclose(size[::2], bound[::2])
 
 
+@pytest.mark.parametrize("substeps", [1, 2, 8, 50])
+def test_the_verdict_is_that_of_the_proof(substeps: int) -> None:
+    """`sqrt(s + n g (2 g + e)) + n e + e + g <= z`: what is looser in any term is not proved."""
+    draw, h = np.random.default_rng(substeps), PERIOD / substeps
+    verdicts = []
+    for _ in range(40):
+        frame = Vehicle().airframe()._replace(inertia=body(draw, draw.choice([0.1, 1.0, 3.0])))
+        J = np.array(frame.inertia)[:, None]
+        found = turning(frame, PERIOD, substeps)
+        z, g = found.room / (1.0 - 1e-9) + found.gain, found.gain
+        x, command, push = np.zeros((16, LANES)), np.zeros((4, LANES)), np.zeros((3, LANES))
+        x[9], x[2] = 1.0, -1e6
+        x[W] = draw.normal(size=(3, LANES)) * draw.choice([0.0, 1.0], LANES)
+        x[W] *= z / (h * np.sqrt((J / J.min() * x[W] ** 2).sum(axis=0)) + 1e-300)
+        x[W] *= draw.uniform(0.0, 1.0, LANES)
+        command[1:] = draw.normal(size=(3, LANES))
+        effect = h**2 * (np.abs(command[1:]) / np.sqrt(J * J.min())).sum(axis=0)
+        command[1:] *= z * draw.uniform(0.0, 1.2 / (substeps + 1), LANES) / effect
+        s = h**2 * (J / J.min() * x[W] ** 2).sum(axis=0)
+        e = h**2 * (np.abs(command[1:]) / np.sqrt(J * J.min())).sum(axis=0)
+        most = np.sqrt(s + substeps * g * (2.0 * g + e)) + substeps * e + e + g
+        clear = np.abs(most - z) > 1e-6 * z
+        proved = certain(x, command, push, frame, substeps, MOMENT)
+        np.testing.assert_array_equal(proved[clear], (most <= z)[clear])
+        verdicts.extend(proved)
+    assert 0.1 < np.mean(verdicts) < 0.9
+
+
 @pytest.mark.parametrize("first", range(0, 30, 10))
 def test_what_is_certain_to_stay_up_does(first: int) -> None:
     """At the lowest height that is certain, and turning as fast as is certain."""

@@ -147,7 +147,7 @@ class Run:
     # -- training ---------------------------------------------------------------------------------
 
     def compile(self) -> None:
-        """Compile what is not compiled yet. `train` does it too; apart from it Ctrl-C takes effect at once."""
+        """Compile what is not compiled yet; `train` does it too, but before it Ctrl-C ends all at once."""
         with compiling(self.options.quiet):
             _ = self.judge
 

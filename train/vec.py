@@ -19,12 +19,13 @@ from formation_env.checks import boolean, choice, integer, number, refuse
 from formation_env.formation_v0 import parallel_env
 from formation_env.memory import REWARD, SLOT, Results
 from formation_env.simulation import Snapshot
-from formation_env.vector import FormationVectorEnv
+from formation_env.vector import MOST_WORLDS, FormationVectorEnv
 
 Array = NDArray[Any]
 
 
 LONGEST_HISTORY = 1024  # rows of an observation
+MOST_SCALE = 1e9  # of rewards, up to some 1e6 each: the product is far from where float32 ends
 _OWN: tuple[str, ...] = ("worlds", "seed_offset", "history", "residual", "critic", "stagger")
 _OWN += ("reward_scale", "threads", "render_mode")
 
@@ -65,11 +66,11 @@ class FollowerVecEnv(Fixed, VecEnv):
         followers: int | None = None,
         **options: Any,
     ) -> None:
-        worlds = integer("worlds", worlds, 1)
+        worlds = integer("worlds", worlds, 1, MOST_WORLDS)
         history = integer("history", history, 1, LONGEST_HISTORY)
         residual = number("residual", residual, 0.0, 1.0, strict=False)
         critic = choice("critic", critic, ("local", "central"))
-        reward_scale = number("reward_scale", reward_scale)
+        reward_scale = number("reward_scale", reward_scale, -MOST_SCALE, MOST_SCALE, strict=False)
         self.config = configured(type(self).__name__, _OWN, scenario, followers, options)
         self.envs = FormationVectorEnv(
             worlds,
@@ -156,8 +157,11 @@ class FollowerVecEnv(Fixed, VecEnv):
         )
         slots = results.outputs[..., SLOT : SLOT + 3]
         parts = [x.reshape(self.worlds, -1) for x in (vehicles, slots, s.started)]
-        state = np.concatenate(parts, axis=1).astype(np.float32)
         bound = self._bound
+        # Of a vehicle that has left the numbers the state is finite all the same, as in PettingZoo's.
+        with np.errstate(over="ignore"):
+            state = np.concatenate(parts, axis=1).astype(np.float32)
+        state = np.nan_to_num(state, copy=False, posinf=np.inf, neginf=-np.inf)
         return np.clip(state, -bound, bound)
 
     # -- stepping -----------------------------------------------------------------------------------
