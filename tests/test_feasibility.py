@@ -176,7 +176,9 @@ def test_the_papers_pair_on_31_fails_the_bound_and_never_inverts() -> None:
 
 
 def test_one_of_two_followers_that_inverts_is_named() -> None:
-    with pytest.warns(FeasibilityWarning, match=r"for followers 0, 1: .*\(26\), follower 1 moves backwards$"):
+    with pytest.warns(
+        FeasibilityWarning, match=r"for followers 0, 1: .*\(26\), follower 1 moves backwards$"
+    ):
         configure(offsets=((0.35, 0.35, -0.3), (2.5, 0.0, -0.3)))
 
 
