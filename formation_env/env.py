@@ -114,12 +114,15 @@ class FormationEnv(Fixed, gym.Env[Observation, NDArray[np.float32]]):
     `scenario`: `"nominal"`, `"paper"`, `"experiment"`, `"agile"`, `"swarm"` (see
     `formation_env.scenarios`), a `FormationConfig`, or a dictionary of one. `followers`: re-forms a
     named scenario with that many. `render_mode`: `"human"` (needs a display), `"rgb_array"` or None;
-    both need the extra `render`. Every field of `FormationConfig` is a keyword: `offsets`, `trajectory`, `action`, `start`, `noise`, `vehicle`,
-    `planner`, `tracker`, `reward`, `limits`, `duration`, `control_period`, `substeps`, ...
+    both need the extra `render`. Every field of `FormationConfig` is a keyword, in its JSON form as well:
+    `offsets`, `trajectory`, `action`, `start`, `noise`, `vehicle`, `planner`, `tracker`, `reward`,
+    `limits`, `duration`, `control_period`, `substeps`, ...
 
         gym.make("Formation-v0", scenario="paper", action="rates", followers=3)
 
-    Raises `ValueError` naming the field where a value is impossible, `TypeError` for an unknown keyword.
+    Raises `ValueError` naming the field where a value is impossible, `TypeError` for an unknown keyword;
+    warns with `FlightWarning` where the leader's vehicle cannot fly the trajectory, and with
+    `FeasibilityWarning` where a follower may have to move backwards.
     `config` holds what came of it and is fixed, as `render_mode` is.
 
     `reset(seed=...)` takes a whole number from 0. `reset(options=...)` refuses options that do not exist: the
@@ -143,6 +146,9 @@ class FormationEnv(Fixed, gym.Env[Observation, NDArray[np.float32]]):
     | `separation` | `(followers,)` | m | distance to the nearest other vehicle |
     | `failure` | `(followers,)` | - | int64, an index into `task.FAILURES`: 0 none, 1 collision, 2 impact, 3 lost, 4 the leader crashed |
     | `reward_formation`, `reward_effort`, `reward_smoothness`, `reward_failure` | `(followers,)` | 1 | the terms of the reward, see Rewards |
+
+    Where a vehicle's state can no longer be computed, the episode ends as lost: observations and rewards
+    are finite then, too, while `slots`, `slot_error` and `separation` can be NaN in that step.
 
     ## Version History
 
