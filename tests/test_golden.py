@@ -1,49 +1,95 @@
 """Stored episodes of v0: if one of these fails, `Formation-v0` has become another environment.
 
 Such a change needs a line under "environment versions" of the CHANGELOG, a new version if the task
-has changed, and then, consciously, new files:
+has changed, and then, consciously, new files (of all tasks, or of those that are named):
 
-    python tests/test_golden.py
+    python tests/test_golden.py [TASK ...]
 
 Compared with tolerance, because fused operations round differently on different processors; on one
-machine the numbers repeat to the last bit, which `test_determinism` checks.
+machine the numbers repeat to the last bit, which `test_determinism` checks, and `fingerprint.py`
+compares them to the last bit before and after a change.
 """
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from episodes import gentle
+from episodes import gentle, wild
 
-from formation_env import Limits
+from formation_env import Limits, Noise
 from formation_env.env import FormationEnv
+from formation_env.vector import FormationVectorEnv
 
 FOLDER = Path(__file__).resolve().parent / "golden"
-STEPS, EVERY = 200, 20
 APART = Limits(collision=0.01, impact=1.0, tilt=0.5, lost=100.0)  # nothing ends an episode early
+NOISE = Noise(0.02, 0.03, 0.04, 0.01, 0.02)
+CAMERA = Noise(2e-4, 0.0, 0.0, 1e-3, 0.0)  # what is differenced 200 times a second must be exact
+
+Episode = dict[str, npt.NDArray[Any]]
+
+
+class Task(NamedTuple):
+    """An environment's arguments, how many steps are flown, and every which of them is stored in full."""
+
+    options: dict[str, Any]
+    steps: int = 200
+    every: int = 20
+
+
 TASKS = {
-    "nominal": {"scenario": "nominal"},
-    "paper": {"scenario": "paper"},
-    "experiment": {"scenario": "experiment"},
-    "agile-reference": {"scenario": "agile", "action": "reference"},
+    "nominal": Task({"scenario": "nominal"}),
+    "paper": Task({"scenario": "paper"}),
+    "experiment": Task({"scenario": "experiment"}),
+    "agile-reference": Task({"scenario": "agile", "action": "reference"}),
+    "agile": Task({"scenario": "agile"}),
+    "nominal-rates": Task({"action": "rates"}),
+    "reference-by-rates": Task({"action": "reference", "reference_actuation": "rates"}),
+    "experiment-reference": Task({"scenario": "experiment", "action": "reference"}),
+    "gusts": Task({"gust": 0.5, "gust_time": 0.4}),
+    "differenced": Task({"estimator": "differenced", "window": 10, "noise": NOISE}),
+    # Measurements that come late: of every tick, of less than every tick, of more.
+    "late": Task({"measurement_delay": 2, "noise": NOISE}),
+    "late-seldom": Task({"measurement_delay": 1, "measurement_period": 0.025, "noise": NOISE}),
+    "late-often": Task(
+        {
+            "measurement_delay": 5,
+            "measurement_period": 0.005,
+            "estimator": "differenced",
+            "window": 16,
+            "noise": CAMERA,
+            "action": "reference",
+            "reference_actuation": "rates",
+        }
+    ),
+    # More than 30 vehicles: neighbours are found by the sweep of `crowd`.
+    "crowd": Task({"scenario": "swarm", "followers": 40, "neighbours": 3}, steps=60),
+}
+# The same for many worlds, more than a tile of them, which end and begin anew.
+WORLDS = 17
+SEVERAL = {
+    "worlds": Task({"scenario": "nominal"}, steps=100, every=25),
+    "worlds-agile": Task({"scenario": "agile", "action": "reference"}, steps=100, every=25),
 }
 
 
-def record(task: str) -> dict[str, npt.NDArray[np.float64]]:
-    """200 steps from seed 0: every reward, and each twentieth step in full."""
-    env = FormationEnv(**TASKS[task], limits=APART)  # type: ignore[arg-type]
+def record(task: str) -> Episode:
+    """Steps from seed 0: every reward, and some steps in full."""
+    options, steps, every = TASKS[task]
+    env = FormationEnv(**options, limits=APART)
     obs, info = env.reset(seed=0)
     observations, slots, positions, rewards = [obs], [info["slots"]], [], []
-    actions = gentle(STEPS, *env.action_space.shape)
+    actions = gentle(steps, *env.action_space.shape)
     actions[:, 0] += 0.02  # one follower climbs: the formation term changes, and takes off in time
     for k, action in enumerate(actions, 1):
         obs, reward, ended, _, info = env.step(action)
         assert not ended, f"{task} ended at step {k}"
         rewards.append(reward)
-        if k % EVERY == 0:
+        if k % every == 0:
             observations.append(obs)
             slots.append(info["slots"])
             positions.append(env.simulation.positions[0])
@@ -55,26 +101,66 @@ def record(task: str) -> dict[str, npt.NDArray[np.float64]]:
     }
 
 
-@pytest.mark.parametrize("task", TASKS)
-def test_v0_flies_as_it_always_did(task: str) -> None:
-    found = record(task)
+def record_several(task: str) -> Episode:
+    """Steps of many worlds that begin anew in the step in which they end: every reward and end."""
+    options, steps, every = SEVERAL[task]
+    env = FormationVectorEnv(
+        WORLDS, **options, autoreset_mode="same_step", max_episode_steps=70, threads=1
+    )
+    observations = [env.reset(seed=0)[0]]
+    rewards, ends, failures, last = [], [], [], []
+    actions = 0.02 * wild(steps, *env.action_space.shape)
+    actions[:, ::3] = wild(1, *env.action_space.shape)[:, ::3]  # these soon fall, each in its way
+    for k, action in enumerate(actions, 1):
+        obs, reward, terminated, truncated, info = env.step(action)
+        rewards.append(reward)
+        ends.append(terminated + 2 * truncated)
+        if "final_obs" in info:
+            last.extend(info["final_obs"][info["_final_obs"]])
+            failures.append(info["final_info"]["failure"])
+        if k % every == 0:
+            observations.append(obs)
+    env.close()
+    return {
+        "observations": np.array(observations, dtype=np.float64),
+        "rewards": np.array(rewards),
+        "ends": np.array(ends),
+        "failures": np.array(failures),
+        "last": np.array(last, dtype=np.float64),
+    }
+
+
+def compare(task: str, found: Episode) -> None:
     with np.load(FOLDER / f"{task}.npz") as stored:
         assert set(stored) == set(found)
         for name in stored:
             expected = stored[name]
             # Observations are stored as the float32 that they are.
-            slack = 1e-5 if name == "observations" else 1e-6
+            slack = 1e-5 if expected.dtype == np.float32 else 1e-6
             np.testing.assert_allclose(found[name], expected, slack, slack, err_msg=name)
 
 
-def write() -> None:
-    """Replace the stored episodes by today's."""
+@pytest.mark.parametrize("task", TASKS)
+def test_v0_flies_as_it_always_did(task: str) -> None:
+    compare(task, record(task))
+
+
+@pytest.mark.parametrize("task", SEVERAL)
+def test_worlds_end_and_begin_as_they_always_did(task: str) -> None:
+    found = record_several(task)
+    assert set(np.unique(found["ends"])) == {0, 1, 2}
+    compare(task, found)
+
+
+def write(tasks: list[str]) -> None:
+    """Replace the stored episodes of some tasks, or of all, by today's."""
     FOLDER.mkdir(exist_ok=True)
-    for task in TASKS:
-        episode = record(task)
-        observations = episode["observations"].astype(np.float32)
-        np.savez_compressed(FOLDER / f"{task}.npz", **{**episode, "observations": observations})
+    for task in tasks or [*TASKS, *SEVERAL]:
+        episode = record(task) if task in TASKS else record_several(task)
+        for name in episode.keys() & {"observations", "last"}:
+            episode[name] = episode[name].astype(np.float32)
+        np.savez_compressed(FOLDER / f"{task}.npz", **episode)
 
 
 if __name__ == "__main__":
-    write()
+    write(sys.argv[1:])
