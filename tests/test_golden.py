@@ -66,8 +66,9 @@ TASKS = {
             "reference_actuation": "rates",
         }
     ),
-    # More than 30 vehicles: neighbours are found by the sweep of `crowd`.
+    # More than 30 vehicles: neighbours are found by the sweep of `crowd`, which has loops of their own for two.
     "crowd": Task({"scenario": "swarm", "followers": 40, "neighbours": 3}, steps=60),
+    "crowd-by-two": Task({"scenario": "swarm", "followers": 40}, steps=60, every=30),
 }
 # The same for many worlds, more than a tile of them, which end and begin anew.
 WORLDS = 17
