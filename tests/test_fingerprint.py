@@ -1,0 +1,53 @@
+"""`python tests/fingerprint.py` runs, its lines repeat, and its pilots end and begin episodes."""
+
+from __future__ import annotations
+
+import fingerprint
+import numpy as np
+import pytest
+from fingerprint import LEVELS, MODES, SCENARIOS, fly_many, lines, pilot
+
+from formation_env import configure, simulation
+
+
+@pytest.fixture(autouse=True)
+def _two_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the script has it."""
+    monkeypatch.setattr(simulation, "_VEHICLES_PER_THREAD", 1)
+
+
+def test_lines_repeat_and_threads_change_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fingerprint, "WORLDS", (1, 17))
+    first, second = list(lines(["nominal"])), list(lines(["nominal"]))
+    assert first == second
+    hashes = dict(line.rsplit(" ", 1) for line in first)
+    assert len(hashes) == len(first) == len(LEVELS) * (2 + len(MODES) * 2 * 2)
+    assert all(len(digest) == 64 for digest in hashes.values())
+    for name, digest in hashes.items():
+        if name.endswith(" 2"):
+            assert digest == hashes[name[:-1] + "1"], name
+    # What is not meant to be the same differs: each level, face and number of worlds.
+    assert len(set(hashes.values())) == len(LEVELS) * (2 + len(MODES) * 2)
+
+
+def test_one_bit_changes_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fingerprint, "LEVELS", ("wrench",))
+    monkeypatch.setattr(fingerprint, "WORLDS", (17,))
+    before = list(lines(["nominal"]))
+
+    def other(worlds: int, size: int) -> fingerprint.Rows:
+        rows = pilot(worlds, size)
+        rows[-1, -1, -1] = np.nextafter(rows[-1, -1, -1], np.float32(1.0))
+        return rows
+
+    monkeypatch.setattr(fingerprint, "pilot", other)
+    after = list(lines(["nominal"]))
+    assert not set(before) & set(after)
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_some_crash_and_some_are_truncated(scenario: str) -> None:
+    config = configure(**SCENARIOS[scenario])
+    _, *steps = fly_many(config, "same_step", 17, 1)
+    assert any(terminated.any() for _, _, terminated, _, _ in steps)
+    assert any(truncated.any() for _, _, _, truncated, _ in steps)
