@@ -66,7 +66,7 @@ TASKS = {
             "reference_actuation": "rates",
         }
     ),
-    # More than 30 vehicles: neighbours are found by the sweep of `crowd`, which has loops of their own for two.
+    # More than 30 vehicles: the sweep of `crowd` finds neighbours, by a loop of its own where two are wanted.
     "crowd": Task({"scenario": "swarm", "followers": 40, "neighbours": 3}, steps=60),
     "crowd-by-two": Task({"scenario": "swarm", "followers": 40}, steps=60, every=30),
 }
