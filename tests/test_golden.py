@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from episodes import gentle, wild
+from numba import config
 
 from formation_env import Limits, Noise
 from formation_env.env import FormationEnv
@@ -143,6 +144,8 @@ def compare(task: str, found: Episode) -> None:
 
 @pytest.mark.parametrize("task", TASKS)
 def test_v0_flies_as_it_always_did(task: str) -> None:
+    if config.DISABLE_JIT and task.startswith("crowd"):
+        pytest.skip("more than 30 vehicles cannot fly in plain Python")
     compare(task, record(task))
 
 
