@@ -349,6 +349,15 @@ def _measured(x: Any, lane: Any) -> Measured:
 
 
 @device
+def _passing(x: Any, lane: Any) -> Measured:
+    """Position and velocity alone, which is all that rows of a neighbour hold."""
+    rest = (0.0, 0.0, 0.0)
+    return Measured(
+        load_vector(x, 0, lane), load_vector(x, 3, lane), rest, (1.0, 0.0, 0.0, 0.0), rest
+    )
+
+
+@device
 def _four(x: Any, row: int, lane: Any) -> Action:
     return (x[at(row, lane)], x[at(row + 1, lane)], x[at(row + 2, lane)], x[at(row + 3, lane)])
 
@@ -765,7 +774,7 @@ def see_neighbour(x: Any, own: Any, other: Any, number: Any, k: int, row: Any) -
     for lane in range(_LANES):
         on = number[lane] >= 0.0
         R = complex(x[at(ESTIMATE, lane)], x[at(ESTIMATE + 1, lane)])
-        o = observe_neighbour(_measured(own, lane), _measured(other, lane), R)
+        o = observe_neighbour(_passing(own, lane), _passing(other, lane), R)
         nothing = (0.0, 0.0, 0.0)
         _show(row, k, lane, pick(on, o.present, 0.0), UNIT)
         _show_vector(row, k + 1, lane, pick_vector(on, o.position, nothing), NEAR)

@@ -145,7 +145,7 @@ def compare(task: str, found: Episode) -> None:
 @pytest.mark.parametrize("task", TASKS)
 def test_v0_flies_as_it_always_did(task: str) -> None:
     if config.DISABLE_JIT and task.startswith("crowd"):
-        pytest.skip("more than 30 vehicles cannot fly in plain Python")
+        pytest.skip("plain Python warns of infinity minus infinity among many vehicles")
     compare(task, record(task))
 
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -221,3 +225,23 @@ def test_what_cannot_be_computed_is_noted_as_an_infinite_speed(row: int, value: 
     lanes.note_unsound(x.ravel(), touch)
     expected[:LANES][bad] = np.inf
     np.testing.assert_array_equal(touch, expected)
+
+
+def test_many_vehicles_fly_in_plain_python(tmp_path: Path) -> None:
+    """No loop reads what an array does not hold: compiled, such a read would go unnoticed."""
+    program = (
+        "import sys, numpy as np; from formation_env.env import FormationEnv\n"
+        "env = FormationEnv(scenario='swarm', followers=32, neighbours=3); env.reset(seed=0)\n"
+        "for _ in range(2): seen = env.step(np.zeros(128, np.float32))[0]\n"
+        "np.save(sys.argv[1], seen)"
+    )
+    seen = []
+    for plain in ("0", "1"):
+        path = tmp_path / f"{plain}.npy"
+        subprocess.run(
+            [sys.executable, "-W", "ignore::RuntimeWarning", "-c", program, str(path)],
+            env={**os.environ, "NUMBA_DISABLE_JIT": plain},
+            check=True,
+        )
+        seen.append(np.load(path))
+    np.testing.assert_allclose(seen[0], seen[1], 1e-5, 1e-6)
