@@ -11,8 +11,9 @@ import gymnasium as gym
 import numpy as np
 
 from benchmarks.floor import Floor
-from benchmarks.timing import Sampler, in_turn, ratio, repeating
-from formation_env import FormationConfig, configure
+from benchmarks.steps import in_flight, random_steps
+from benchmarks.timing import in_turn, ratio, repeating
+from formation_env import FormationConfig
 
 # Bytes a vehicle that a combination is reckoned to need for each environment held, returned arrays and
 # their copies included, and for the floor.
@@ -38,28 +39,8 @@ class Point(NamedTuple):
 
 
 def task(point: Point) -> FormationConfig:
-    """The configuration measured. In `paper` episodes begin in flight, in formation.
-
-    Followers that hover at random never meet the trigger (40), and a world that waits is cheaper.
-    """
-    flying = {"start": "formation"} if point.scenario == "paper" else {}
-    return configure(point.scenario, followers=point.followers, action=point.action, **flying)
-
-
-def random_steps(env: Any) -> Sampler:
-    """Steps with random actions about hovering, drawn beforehand; resets happen as they fall due."""
-    draw = np.random.default_rng(0)
-    shape = env.action_space.shape
-    drawn = [draw.uniform(-0.02, 0.02, shape).astype(np.float32) for _ in range(4)]
-    env.reset(seed=0)
-    turn = 0
-
-    def step() -> None:
-        nonlocal turn
-        turn += 1
-        env.step(drawn[turn % 4])
-
-    return repeating(step)
+    """The configuration measured."""
+    return in_flight(point.scenario, followers=point.followers, action=point.action)
 
 
 def returned_bytes(value: Any, seen: set[int] | None = None) -> int:

@@ -14,12 +14,12 @@ import warnings
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
-from time import perf_counter
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import gymnasium as gym
 import numpy as np
 
+from benchmarks.steps import parallel_steps, steps_only
 from benchmarks.timing import Sampler, repeating
 
 
@@ -103,35 +103,3 @@ def installed(peer: Peer) -> str | None:
         return version(peer.package)
     except PackageNotFoundError:
         return None
-
-
-def steps_only(env: Any, action: Callable[[int], Any]) -> Sampler:
-    """Steps of a Gymnasium or PettingZoo parallel environment; the clock stands still in resets."""
-    parallel = hasattr(env, "possible_agents")
-    env.reset(seed=0)
-
-    def sample(count: int) -> float:
-        total, done, ended = 0.0, 0, False
-        env.reset()
-        while done < count:
-            begin = perf_counter()
-            while not ended and done < count:
-                result = env.step(action(done))
-                done += 1
-                ended = not env.agents if parallel else result[2] or result[3]
-            total += perf_counter() - begin
-            if ended:
-                env.reset()
-                ended = False
-        return total
-
-    return sample
-
-
-def parallel_steps(env: Any) -> Sampler:
-    """Steps of a PettingZoo parallel environment with random actions drawn beforehand."""
-    agents = env.possible_agents
-    for i, agent in enumerate(agents):
-        env.action_space(agent).seed(i)
-    drawn = [{a: env.action_space(a).sample() for a in agents} for _ in range(64)]
-    return steps_only(env, lambda k: drawn[k % 64])

@@ -8,12 +8,12 @@ from statistics import median
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 
 from baselines.registry import make_policy
 from baselines.rollout import fly
 from benchmarks import peers
-from benchmarks.grid import Point, random_steps, task
+from benchmarks.grid import Point, task
+from benchmarks.steps import gym_steps, parallel_steps, policy_steps, random_steps, steps_only
 from benchmarks.timing import Sampler, in_turn, ratio, repeating, steps_within
 from formation_env import configure, formation_v0
 from formation_env.simulation import Simulation, seeded_key
@@ -26,23 +26,15 @@ _OWN = "Formation-v0 nominal"
 
 def _cartpole() -> Sampler:
     env = gym.make("CartPole-v1")
-    return peers.steps_only(env, lambda k: k % 2)
-
-
-def _formation() -> Sampler:
-    env = gym.make("Formation-v0")
-    draw = np.random.default_rng(0)
-    shape = env.action_space.shape
-    drawn = [draw.uniform(-0.02, 0.02, shape).astype(np.float32) for _ in range(64)]
-    return peers.steps_only(env, lambda k: drawn[k % 64])
+    return steps_only(env, lambda k: k % 2)
 
 
 def one_world(rounds: int, seconds: float, use_peers: bool, say: Say) -> Figures:
     """Microseconds a step of each face and of its like, and their ratios."""
     samplers = {
-        "gym.make Formation-v0": _formation(),
+        "gym.make Formation-v0": gym_steps("nominal"),
         "gym.make CartPole-v1": _cartpole(),
-        "PettingZoo Formation-v0": peers.parallel_steps(formation_v0.parallel_env(followers=3)),
+        "PettingZoo Formation-v0": parallel_steps(formation_v0.parallel_env(followers=3)),
     }
     for peer in peers.PEERS if use_peers else ():
         if peer.worlds == (1,) and not _absent(peer, say):
@@ -138,14 +130,9 @@ def expert(
     alone = gym.make_vec("Formation-v0", num_envs=worlds, scenario=config, threads=threads)
     flown = gym.make_vec("Formation-v0", num_envs=worlds, scenario=config, threads=threads)
     policy = make_policy("expert", config)
-    rows = flown.reset(seed=0)[0]
-    policy.reset(seed=0, worlds=worlds)
-
-    def step() -> None:
-        nonlocal rows
-        rows = flown.step(policy.act(rows))[0]
-
-    times = in_turn({"alone": random_steps(alone), "expert": repeating(step)}, rounds, seconds)
+    times = in_turn(
+        {"alone": random_steps(alone), "expert": policy_steps(flown, policy)}, rounds, seconds
+    )
     short = configure(config, duration=flight)
     together = min(worlds, 500)  # about as many as `evaluate` flies together
     scored = in_turn(

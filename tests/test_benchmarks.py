@@ -13,6 +13,7 @@ from numba import njit
 
 from benchmarks import grid, peers, profile, report, single, throughput
 from benchmarks.floor import LANES, Floor, _fly_tile
+from benchmarks.steps import steps_only
 from benchmarks.timing import in_turn, ratio, repeating
 from formation_env import configure, kernels
 from formation_env._jit import FASTMATH
@@ -155,7 +156,7 @@ def test_resets_are_not_counted_as_steps() -> None:
             return 0, 0.0, self.age == 2, False
 
     env = Short()
-    peers.steps_only(env, lambda k: k)(5)
+    steps_only(env, lambda k: k)(5)
     assert env.steps == 5
     assert env.resets == 4  # one to begin with, one a sample, one after each of two ends
 

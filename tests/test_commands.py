@@ -24,7 +24,7 @@ SCRIPTS: dict[str, str] = tomllib.loads((ROOT / "pyproject.toml").read_text(enco
 ]["scripts"]
 MODULES = {target.partition(":")[0]: name for name, target in SCRIPTS.items()}
 # They need a checkout and are not installed.
-CHECKOUT = ("train.cards", "benchmarks.recurrence", "benchmarks.throughput")
+CHECKOUT = ("train.cards", "benchmarks.against", "benchmarks.recurrence", "benchmarks.throughput")
 
 
 def helped(
