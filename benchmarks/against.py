@@ -134,8 +134,9 @@ def parser() -> Parser:
     """The options."""
     own = Parser(
         prog="benchmarks.against",
-        description="Time this checkout against another one, in turn, and print the ratios. With the "
-        "defaults: two compilations of about a minute, then about 20 seconds a turn.",
+        description="Time this checkout against another one, in turn, and print the ratios.\n"
+        "With the defaults: two compilations of about a minute each, then half a minute\n"
+        "a turn.",
         formatter_class=formatter,
         allow_abbrev=False,
     )
