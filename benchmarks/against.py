@@ -8,6 +8,10 @@ what the code itself costs, where a mean is a figure of the machine's load. Over
 taken, because a turn may have had no quiet sample at all; the least and the greatest ratio show how far to
 trust the median. A difference smaller than that spread is none: take more turns.
 
+On a virtual machine of two cores with one of them busy, a checkout against itself gave medians from 0.986
+to 1.038 in three turns; one first compile differed by a tenth between runs, so judge that by several
+(`--compile 3`).
+
 Both are timed by the same code, this checkout's `turn`, `steps` and `timing`, and each imports its own
 package and keeps its own compiled kernels, in a temporary folder.
 """
