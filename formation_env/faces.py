@@ -45,6 +45,30 @@ def fps(config: FormationConfig) -> int:
     return max(1, round(1.0 / config.control_period))
 
 
+def state_space(followers: int) -> Any:
+    """Bounds of a row of `states`."""
+    vehicle = [1e4] * 3 + [100.0] * 3 + [1.0] * 4 + [100.0] * 3
+    numbers = vehicle * (followers + 1) + [1e4] * (3 * followers) + [1.0]
+    bound = np.array(numbers, dtype=np.float32)
+    return spaces.Box(-bound, bound, dtype=np.float32)
+
+
+def states(simulation: Simulation, slots: NDArray[np.float64]) -> NDArray[np.float32]:
+    """The truth about every world, float32 `(worlds, numbers)`, clipped to `state_space`.
+
+    A row is what `FormationParallelEnv.state` describes; `slots` are `(worlds, followers, 3)`, m, inertial.
+    Of a vehicle whose state can no longer be computed, so that its episode has ended, the numbers are
+    finite all the same.
+    """
+    s, worlds = simulation, simulation.num_worlds
+    vehicles = (s.positions, s.velocities, s.attitudes, s.angular_velocities)
+    parts = (np.concatenate(vehicles, axis=2), slots, s.started)
+    with np.errstate(over="ignore"):
+        flat = np.concatenate([x.reshape(worlds, -1) for x in parts], axis=1).astype(np.float32)
+    bound = state_space(s.config.followers).high
+    return np.clip(np.nan_to_num(flat, copy=False, posinf=np.inf, neginf=-np.inf), -bound, bound)
+
+
 def read_action(action: Any, shape: tuple[int, ...], name: str = "action") -> NDArray[np.float32]:
     """The action as float32 of the given shape, itself where it is that already.
 

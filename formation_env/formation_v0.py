@@ -73,7 +73,7 @@ class FormationParallelEnv(Fixed, ParallelEnv[str, Array, Array]):
         self.action_spaces: dict[str, spaces.Box] = {
             agent: faces.action_space(self.config, 1) for agent in self.possible_agents
         }
-        self.state_space = _state_space(n)
+        self.state_space = faces.state_space(n)
         # Each agent and the indices of what is its own, in arrays `(1, followers, ...)`: made once,
         # because a step spends more on finding its numbers than on reading them.
         self._places = [
@@ -231,23 +231,15 @@ class FormationParallelEnv(Fixed, ParallelEnv[str, Array, Array]):
         return observations, rewards, infos
 
     def state(self) -> Array:
-        """The truth, float32: per vehicle, leader first, `p, v, q, omega` (13); per follower its slot
-        (3); 1 if the trigger has fired; inertial frame, SI units."""
+        """The truth, float32 within `state_space`: per vehicle, leader first, `p, v, q, omega` (13); per
+        follower its slot (3); 1 if the trigger has fired; inertial frame, SI units.
+
+        Raises `ResetNeeded` before the first reset.
+        """
         if not self._simulation.seeded[0]:
             raise ResetNeeded("there is no state yet: call reset() before state()")
-        simulation = self._simulation
-        parts = [
-            simulation.positions[0],
-            simulation.velocities[0],
-            simulation.attitudes[0],
-            simulation.angular_velocities[0],
-        ]
-        flat = [np.concatenate(parts, axis=1).ravel(), simulation.slots.ravel()]
-        low, high = self.state_space.low, self.state_space.high
-        # Of a vehicle that has left the numbers, whose episode has ended, the state is finite all the same.
-        with np.errstate(over="ignore"):
-            state = np.concatenate([*flat, simulation.started]).astype(np.float32)
-        return np.clip(np.nan_to_num(state, copy=False, posinf=np.inf, neginf=-np.inf), low, high)
+        row: Array = faces.states(self._simulation, self._simulation.slots)[0]
+        return row
 
     def render(self) -> Any:
         """A frame `(height, width, 3)` of uint8 in mode `rgb_array`; a window in mode `human`."""
@@ -273,13 +265,6 @@ class FormationParallelEnv(Fixed, ParallelEnv[str, Array, Array]):
         if self._simulation.seeded[0]:
             self._keyed_by = self.np_random  # the state's own stream goes on at the next reset
         self.agents = [] if self._simulation.over[0] else list(self.possible_agents)
-
-
-def _state_space(n: int) -> spaces.Box:
-    """Bounds of `state()`."""
-    vehicle = [1e4] * 3 + [100.0] * 3 + [1.0] * 4 + [100.0] * 3
-    bound = np.array(vehicle * (n + 1) + [1e4] * (3 * n) + [1.0], dtype=np.float32)
-    return spaces.Box(-bound, bound, dtype=np.float32)
 
 
 def parallel_env(**options: Any) -> FormationParallelEnv:

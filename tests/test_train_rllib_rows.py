@@ -106,3 +106,15 @@ def test_gymnasium_makes_them_as_rllib_does() -> None:
     seen, _ = envs.reset(seed=0)
     assert seen.shape == (4, *envs.single_observation_space.shape)
     envs.close()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])
+def test_what_a_central_critic_sees_is_finite(value: float) -> None:
+    """Also in the step in which the vehicles have left the numbers."""
+    rows = FollowerRows(configure("nominal"), 2 * WORLDS, central=True)
+    rows.reset(seed=0)
+    rows._simulation._state.vehicles[...] = value
+    seen, _, terminated, *_ = rows.step(np.zeros((2 * WORLDS, 4), np.float32))
+    assert terminated.all()
+    assert seen in rows.observation_space
+    assert np.isfinite(seen["state"]).all()

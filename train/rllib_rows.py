@@ -16,7 +16,6 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from formation_env import FormationConfig, faces
-from formation_env.formation_v0 import parallel_env
 from formation_env.memory import REWARD, SLOT, Results
 from formation_env.simulation import Simulation, seeded_key
 from train.evaluation import TRAINING_SEEDS
@@ -61,10 +60,8 @@ class FollowerRows(VectorEnv[Any, Array, Array]):
             self.worlds, -1, dtype=np.int64
         )  # ticks to an early end; below 0: none
         observation: spaces.Space[Any] = faces.observation_space(config, 1)
-        self._bound: Array = np.zeros(0, dtype=np.float32)  # of the state's numbers
         if central:
-            state = parallel_env(scenario=config).state_space
-            self._bound = state.high
+            state = faces.state_space(config.followers)
             observation = spaces.Dict({"obs": observation, "state": state})
         self.single_observation_space = observation
         self.single_action_space = faces.action_space(config, 1)
@@ -110,19 +107,8 @@ class FollowerRows(VectorEnv[Any, Array, Array]):
         own = results.observations.reshape(self.num_envs, -1).copy()
         if not self._central:
             return own
-        state = self._state(results)
+        state = faces.states(self._simulation, results.outputs[..., SLOT : SLOT + 3])
         return {"obs": own, "state": np.repeat(state, self.config.followers, axis=0)}
-
-    def _state(self, results: Results) -> Array:
-        """The truth about every world, `(worlds, numbers)`."""
-        s = self._simulation
-        vehicles = np.concatenate(
-            (s.positions, s.velocities, s.attitudes, s.angular_velocities), axis=2
-        )
-        slots = results.outputs[..., SLOT : SLOT + 3]
-        parts = [x.reshape(self.worlds, -1) for x in (vehicles, slots, s.started)]
-        state = np.concatenate(parts, axis=1).astype(np.float32)
-        return np.clip(state, -self._bound, self._bound)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Stop the threads."""

@@ -16,7 +16,6 @@ from baselines.expert import Expert
 from formation_env import FormationConfig, faces
 from formation_env.arguments import Fixed, check_options, configured, whole_seed
 from formation_env.checks import boolean, choice, integer, number, refuse
-from formation_env.formation_v0 import parallel_env
 from formation_env.memory import REWARD, SLOT, Results
 from formation_env.simulation import Snapshot
 from formation_env.vector import MOST_WORLDS, FormationVectorEnv
@@ -94,10 +93,8 @@ class FollowerVecEnv(Fixed, VecEnv):
         self._left = np.zeros(worlds, dtype=np.int64)  # ticks to an early end, negative: none
         self._actions = np.zeros((worlds, self.followers, self.config.action_size), np.float32)
         high = np.tile(self.config.layout.bound, history)
-        self._bound: Array = np.zeros(0, dtype=np.float32)  # of the state's numbers
         if self._central:
-            self._bound = parallel_env(scenario=self.config).state_space.high
-            high = np.concatenate((high, self._bound))
+            high = np.concatenate((high, faces.state_space(self.followers).high))
         super().__init__(
             worlds * self.followers,
             spaces.Box(-high, high, dtype=np.float32),
@@ -146,23 +143,9 @@ class FollowerVecEnv(Fixed, VecEnv):
         rows = self._stack.reshape(self.num_envs, self.own)
         if not self._central:
             return rows.copy()
-        state = np.repeat(self._state(results), self.followers, axis=0)
+        state = faces.states(self.envs.simulation, results.outputs[..., SLOT : SLOT + 3])
+        state = np.repeat(state, self.followers, axis=0)
         return np.concatenate((rows, state), axis=1)
-
-    def _state(self, results: Results) -> Array:
-        """The truth about every world as PettingZoo's `state()` has it, `(worlds, numbers)`."""
-        s = self.envs.simulation
-        vehicles = np.concatenate(
-            (s.positions, s.velocities, s.attitudes, s.angular_velocities), axis=2
-        )
-        slots = results.outputs[..., SLOT : SLOT + 3]
-        parts = [x.reshape(self.worlds, -1) for x in (vehicles, slots, s.started)]
-        bound = self._bound
-        # Of a vehicle that has left the numbers the state is finite all the same, as in PettingZoo's.
-        with np.errstate(over="ignore"):
-            state = np.concatenate(parts, axis=1).astype(np.float32)
-        state = np.nan_to_num(state, copy=False, posinf=np.inf, neginf=-np.inf)
-        return np.clip(state, -bound, bound)
 
     # -- stepping -----------------------------------------------------------------------------------
 
