@@ -29,7 +29,7 @@ from baselines import board, cluster, console, options, report, scoring, termina
 from baselines.own import PolicyError, label
 from baselines.progress import compiling
 from baselines.registry import available
-from baselines.scoring import EPISODES, Fleet, Report, enlist, ready
+from baselines.scoring import EPISODES, Fleet, Report
 from baselines.tasks import changed, check_scenario, tasks
 from baselines.writing import FolderTaken, claim, write_text
 from formation_env import SCENARIOS, FormationConfig
@@ -71,7 +71,8 @@ def evaluate(
     named = _by_name(policies)
     with compiling(quiet):
         configs = _configurations(scenarios)
-        crews = scoring.ready(configs, named)
+        crews = scoring.enlist_all(configs, named)
+        scoring.warm(configs, crews)
     return scoring.evaluate(configs, named, episodes, seed, threads, quiet, crews=crews)
 
 
@@ -210,9 +211,10 @@ def _fly(
             configs = _configs(given)
             everybody = available(configs.values())
             given.policies = getattr(given, "policies", everybody)
-            enlist(configs, given.policies)
+            crews = scoring.enlist_all(configs, given.policies)
             _claim(given, stack)
-            crews = ready(configs, given.policies, here=not given.ray)
+            if not given.ray:
+                scoring.warm(configs, crews)
     except ValueError as problem:
         parser.error(str(problem))
     try:

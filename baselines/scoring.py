@@ -114,10 +114,10 @@ def above_expert(results: dict[str, Result]) -> list[str]:
 
 
 class Crew(NamedTuple):
-    """Who flies one scenario."""
+    """The policies of one scenario: how those that fit it are made, and why the others do not."""
 
     recipes: dict[str, Recipe]
-    absent: dict[str, str]  # who cannot, and why
+    absent: dict[str, str]  # policies that cannot fly it, and why
 
 
 def enlist(
@@ -145,6 +145,13 @@ def enlist(
     return crews
 
 
+def enlist_all(
+    configs: Mapping[str, FormationConfig], policies: Sequence[str] | Mapping[str, Any]
+) -> dict[str, Crew]:
+    """`enlist` with the policies that the score is normalised with."""
+    return enlist(configs, {**named(policies), **{name: name for name in ANCHORS}})
+
+
 def named(policies: Sequence[str] | Mapping[str, Any]) -> dict[str, Any]:
     """Policies by name; those of a sequence are names themselves. Raises `ValueError` for another policy
     under the name of one that the score is normalised with."""
@@ -170,13 +177,15 @@ def evaluate(
     """Score `policies` on named configurations, seeds `seed` to `seed + episodes - 1` for each.
 
     A policy flies where it fits, on `fleet` or else on so many threads of this process. `crews` is what
-    `ready` gave for these, if that has been called. Raises `ValueError` as `enlist` does, `PolicyError`
-    where a user's own policy fails, and what the fleet raises.
+    `enlist_all` gave for these, if that has been called, and `warm` too if they fly here. Raises
+    `ValueError` as `enlist` does, `PolicyError` where a user's own policy fails, and what the fleet raises.
     """
     wanted = named(policies)
     if crews is None:
         with compiling(quiet):
-            crews = ready(configs, policies, fleet is None)
+            crews = enlist_all(configs, policies)
+            if fleet is None:
+                warm(configs, crews)
     jobs = [
         (name, policy, seeds)
         for name, config in configs.items()
@@ -201,20 +210,13 @@ def evaluate(
     return Report(seed, episodes, scenarios)
 
 
-def ready(
-    configs: Mapping[str, FormationConfig],
-    policies: Sequence[str] | Mapping[str, Any],
-    here: bool = True,
-) -> dict[str, Crew]:
-    """`enlist` with those that the score is normalised with. If they are to fly `here`, in this process,
-    all kernels are used once, so that they are compiled before anybody counts time."""
-    crews = enlist(configs, {**named(policies), **{name: name for name in ANCHORS}})
+def warm(configs: Mapping[str, FormationConfig], crews: Mapping[str, Crew]) -> None:
+    """Use all kernels once, so that they are compiled before time is counted."""
     for name, crew in crews.items():
         for made in crew.recipes.values():
-            if here and not made.own:
+            if not made.own:
                 with marked():
                     fly(made.make(configs[name]), range(1), most=2)
-    return crews
 
 
 def _sources(crew: Crew, config: FormationConfig) -> dict[str, Source]:
