@@ -58,15 +58,22 @@ def whole(low: int, high: int) -> Callable[[str], int]:
     return read
 
 
-def seconds(text: str) -> float:
-    """Reads a time above 0."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not (isfinite(value) and value > 0.0):
-        raise argparse.ArgumentTypeError(f"{shown(text)}: expected a time in seconds above 0")
-    return value
+def above_zero(expected: str) -> Callable[[str], float]:
+    """Reads a finite number above 0; `expected` says in a message what it is."""
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = 0.0
+        if not (isfinite(value) and value > 0.0):
+            raise argparse.ArgumentTypeError(f"{shown(text)}: expected {expected}")
+        return value
+
+    return read
+
+
+seconds = above_zero("a time in seconds above 0")
 
 
 def _read(reader: Callable[[str], T]) -> Callable[[str], T]:

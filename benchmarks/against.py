@@ -30,7 +30,7 @@ from statistics import median
 from typing import NamedTuple
 
 from baselines.console import command, complain, say
-from baselines.options import Parser, formatter, seconds, whole
+from baselines.options import Parser, above_zero, formatter, seconds, whole
 from baselines.writing import write_text
 from benchmarks import startup
 from benchmarks.timing import ratio
@@ -166,23 +166,13 @@ def parser() -> Parser:
         "(default: %(default)s)")  # fmt: skip
     add("--seconds", type=seconds, default=0.05, metavar="S",
         help="length of a sample in seconds (default: %(default)s)")  # fmt: skip
-    add("--least", type=_ratio, metavar="RATIO",
+    add("--least", type=above_zero("a ratio above 0"), metavar="RATIO",
         help="exit with status 1 if the speed of a point is below this ratio "
         "(default: status 0 whatever the ratios)")  # fmt: skip
     add("--output", type=_file, metavar="FILE",
         help="also write the figures of every turn, in seconds, to this JSON file "
         "(default: no file)")  # fmt: skip
     return own
-
-
-def _ratio(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a ratio above 0")
-    return value
 
 
 def _turns(count: int) -> Iterable[tuple[str, str]]:

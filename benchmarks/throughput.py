@@ -24,6 +24,7 @@ import numpy as np
 
 import formation_env
 from baselines import console
+from baselines.options import above_zero
 from benchmarks import grid, report, single, startup
 from formation_env.config import LEVELS
 from formation_env.formations import MAX_FOLLOWERS
@@ -57,16 +58,6 @@ def _names(allowed: Sequence[str]) -> Callable[[str], list[str]]:
         return names
 
     return read
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a number above 0")
-    return value
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -118,13 +109,13 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     )
     add(
         "--seconds",
-        type=_positive,
+        type=above_zero("a number above 0"),
         metavar="S",
         help="length of a sample in seconds (default: 0.05; quick: 0.02)",
     )
     add(
         "--memory",
-        type=_positive,
+        type=above_zero("a number above 0"),
         default=8.0,
         metavar="GIB",
         help="memory in GiB beyond which a combination is left out (default: 8)",
