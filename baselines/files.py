@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from baselines.reading import file_name, read_bytes
 from baselines.writing import write_bytes
-from formation_env.checks import LONGEST, require, shown
+from formation_env.checks import require, shortened, shown
 from formation_env.config import LEVELS
 from formation_env.task import Layout
 
@@ -296,11 +296,10 @@ def load(path: str | os.PathLike[str]) -> tuple[Card, Network]:
 
 
 def told(path: str | os.PathLike[str], problem: object) -> str:
-    """What is amiss with a file, in a message of at most `LONGEST` characters; of a long path its end."""
+    """What is amiss with a file, in a message that is `shortened`; of a long path its end."""
     text = os.fspath(path)
     place = text if len(text) <= _LONGEST_PATH else f"... {text[-_LONGEST_PATH:]}"
-    message = f"{place}: {problem}"
-    return message if len(message) <= LONGEST else f"{message[: LONGEST - 4]} ..."
+    return shortened(f"{place}: {problem}")
 
 
 def _read(path: str | os.PathLike[str]) -> bytes:

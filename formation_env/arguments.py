@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
 from typing import Any
 
 from formation_env.checks import integer, refuse, unexpected_keyword
 from formation_env.config import FormationConfig
-from formation_env.scenarios import configure
+from formation_env.scenarios import FIELDS, configure
 from formation_env.world import MAX_TICKS
-
-FIELDS = tuple(f.name for f in fields(FormationConfig) if f.name != "scenario")
 
 _CONFIGURED = frozenset(("scenario", *FIELDS))
 

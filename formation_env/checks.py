@@ -34,7 +34,7 @@ def shown(value: object) -> str:
         return f"{kind} of {len(value)} entries, the first {shown(value[0])}"
     try:
         text = repr(value)
-    except Exception:  # whatever a stranger's `__repr__` or an integer of 10,000 digits raises
+    except Exception:  # whatever a foreign `__repr__` or an integer of 10,000 digits raises
         text = f"<{type(value).__name__}>"
     text = " ".join(line.strip() for line in text.splitlines())  # an array's has several
     return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 4]} ..."
@@ -54,6 +54,13 @@ def require(condition: bool, name: str, value: object, expected: str) -> None:
     """`refuse` unless the condition holds."""
     if not condition:
         refuse(name, value, expected)
+
+
+def refuse_where(bad: NDArray[np.bool_], name: str, values: NDArray[Any], expected: str) -> None:
+    """`refuse` the first of the `values` that is `bad`, with its index; nothing if none is."""
+    if bad.any():
+        index = tuple(int(i) for i in np.argwhere(bad)[0])
+        refuse(name + "".join(f"[{i}]" for i in index), values[index].item(), expected)
 
 
 def unexpected_keyword(function: str, name: str, known: Iterable[str]) -> TypeError:

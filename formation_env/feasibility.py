@@ -220,7 +220,7 @@ def _report(i: int, d: Floats, headings: Complexes, least: float, largest: float
 
 
 def _named(reports: list[Feasibility]) -> str:
-    """Who is meant; of many followers only the worst."""
+    """The followers of the reports by number; of many only the worst."""
     worst = sorted(reports, key=lambda report: report.least_speed_ratio)[:_MOST_NAMED]
     names = ", ".join(str(i) for i in sorted(report.follower for report in worst))
     rest = f" and {len(reports) - len(worst)} more" if len(reports) > len(worst) else ""
@@ -250,13 +250,19 @@ def require_feasible(reports: Iterable[Feasibility]) -> None:
 def _doubt(reports: list[Feasibility]) -> str:
     """Which followers fail the bound (29)-(30), by how much, and what integrating (26) found."""
     worst = max(reports, key=lambda report: hypot(*report.offset[:2]))
-    inverting = [report for report in reports if report.inverts]
-    who = _named(inverting) if inverting else "none" if len(reports) > 1 else "it does not"
-    verb = "move backwards" if len(inverting) > 1 or who == "it does not" else "moves backwards"
-    if len(inverting) == len(reports):
-        who = "they all" if len(reports) > 1 else "it"
     return (
         f"the bound (29)-(30) against moving backwards does not hold for {_named(reports)}: "
         f"|(d_x, d_y)| up to {hypot(*worst.offset[:2]):.3g} m, the leader turns with a radius of "
-        f"{1.0 / worst.curvature_max:.3g} m. The bound is sufficient only; by integrating (26), {who} {verb}"
+        f"{1.0 / worst.curvature_max:.3g} m. The bound is sufficient only; by integrating (26), "
+        f"{_integrated(reports)}"
     )
+
+
+def _integrated(reports: list[Feasibility]) -> str:
+    """What integrating (26) found of the reports' followers, as the end of a sentence."""
+    inverting, several = [report for report in reports if report.inverts], len(reports) > 1
+    if not inverting:
+        return "none moves backwards" if several else "it does not move backwards"
+    if len(inverting) == len(reports):
+        return "they all move backwards" if several else "it moves backwards"
+    return f"{_named(inverting)} move{'' if len(inverting) > 1 else 's'} backwards"

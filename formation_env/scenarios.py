@@ -125,7 +125,7 @@ SCENARIOS: dict[str, Callable[..., FormationConfig]] = {
 }
 
 
-_FIELDS = tuple(f.name for f in fields(FormationConfig) if f.name != "scenario")
+FIELDS = tuple(f.name for f in fields(FormationConfig) if f.name != "scenario")
 
 
 def configure(
@@ -152,10 +152,10 @@ def configure(
     a whole configuration, which has warned when it was made.
     """
     for name in overrides:
-        if name not in _FIELDS:
-            raise unexpected_keyword("configure", name, ("scenario", "followers", *_FIELDS))
+        if name not in FIELDS:
+            raise unexpected_keyword("configure", name, ("scenario", "followers", *FIELDS))
     if isinstance(scenario, Mapping):
-        if not {"scenario", *_FIELDS} <= set(scenario):
+        if not {"scenario", *FIELDS} <= set(scenario):
             return _completed(scenario, followers, overrides)
         scenario = quietly(FormationConfig.from_dict, scenario)
     if isinstance(scenario, FormationConfig):
@@ -196,8 +196,8 @@ def _completed(
     """The scenario that a dictionary names, with the dictionary's fields and then the overrides."""
     given = {"scenario": "nominal", "followers": followers, **data}
     for name in data:
-        if name not in ("scenario", "followers", *_FIELDS):
-            refuse(f"scenario[{name!r}]", data[name], f"only fields: {', '.join(_FIELDS)}")
+        if name not in ("scenario", "followers", *FIELDS):
+            refuse(f"scenario[{name!r}]", data[name], f"only fields: {', '.join(FIELDS)}")
     for name, value in overrides.items():
         both = name in PARTS and isinstance(value, Mapping) and isinstance(data.get(name), Mapping)
         given[name] = {**data[name], **value} if both else value

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from formation_env.checks import refuse, require, shown
+from formation_env.checks import refuse_where, require, shown
 from formation_env.memory import (
     ATTITUDE,
     CLOCK,
@@ -140,8 +140,4 @@ def _check_followers(followers: Floats) -> None:
 
 
 def _refuse_where(bad: NDArray[np.bool_], name: str, values: NDArray[Any], expected: str) -> None:
-    """Name the first bad entry with its index."""
-    if bad.any():
-        index = tuple(int(i) for i in np.argwhere(bad)[0])
-        where = "".join(f"[{i}]" for i in index)
-        refuse(f"state: {name}{where}", values[index].item(), expected)
+    refuse_where(bad, f"state: {name}", values, expected)

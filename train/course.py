@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 import formation_env
-from baselines import files, make_policy
+from baselines import Policy, files, make_policy
 from baselines.console import Lenient
 from baselines.progress import compiling
 from baselines.writing import Claim, claim
@@ -47,20 +47,19 @@ class Course:
 
     def __init__(self, options: Options) -> None:
         config = options.check()
-        make_policy(options.teacher, config)  # refused before the folder is made
+        teacher = make_policy(options.teacher, config)  # refused before the folder is made
         self.options, self.config = options, config
         self._claim = _claimed(options)
         try:
             with compiling(options.quiet):
-                self._prepare()
+                self._prepare(teacher)
         except BaseException:
             self._claim.release()
             raise
 
-    def _prepare(self) -> None:
+    def _prepare(self, teacher: Policy) -> None:
         """Everything that is made of the options; compiles what is not compiled yet."""
         options, config = self.options, self.config
-        teacher = make_policy(options.teacher, config)
         torch.set_num_threads(options.threads)
         torch.manual_seed(options.seed)
         self._rng = np.random.default_rng((options.seed, 1))

@@ -1,6 +1,6 @@
 """What a checkpoint says, checked before any of it is used: facts, options, arrays.
 
-A file that was damaged or made up is told by one line that names the field. What indexes something is
+A file that was damaged or made up is refused in one line that names the field. What indexes something is
 checked for its range, what is calculated with for being finite. All raise `ValueError`.
 """
 
@@ -15,7 +15,7 @@ from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origi
 import numpy as np
 from numpy.typing import NDArray
 
-from formation_env.checks import boolean, choice, integer, number, refuse, require, shown
+from formation_env.checks import boolean, choice, integer, number, refuse_where, require, shown
 from train.command_line import flag
 from train.evaluation import Row
 
@@ -170,10 +170,7 @@ def require_finite(name: str, numbers: NDArray[Any]) -> None:
     if numbers.dtype.kind != "f":
         return
     bad = ~(np.abs(numbers) <= _LARGEST)
-    if bad.any():
-        where = tuple(int(i) for i in np.argwhere(bad)[0])
-        at = "".join(f"[{i}]" for i in where)
-        refuse(f"{name}{at}", float(numbers[where]), f"a finite number of at most {_LARGEST:g}")
+    refuse_where(bad, name, numbers, f"a finite number of at most {_LARGEST:g}")
 
 
 def moments(arrays: Arrays, shapes: Sequence[tuple[int, ...]] | None = None) -> dict[int, Arrays]:
