@@ -216,14 +216,14 @@ def test_hostile_numbers_are_named(name: str, key: str) -> None:
         ("hover", "position"),
     ],
 )
-@pytest.mark.parametrize("value", NOT_ROWS, ids=lambda x: repr(x)[:20])
+@pytest.mark.parametrize("value", NOT_ROWS, ids=lambda x: repr(x).partition(" at 0x")[0][:20])
 def test_hostile_vectors_are_named(name: str, key: str, value: Any) -> None:
     with pytest.raises(ValueError, match=rf"^{key}(\[\d+\])? = .*: expected") as caught:
         called(name, **{key: value})
     assert len(str(caught.value)) <= LONGEST
 
 
-@pytest.mark.parametrize("value", NOT_ROWS, ids=lambda x: repr(x)[:20])
+@pytest.mark.parametrize("value", NOT_ROWS, ids=lambda x: repr(x).partition(" at 0x")[0][:20])
 @pytest.mark.parametrize("name", ["waypoints", "from_samples"])
 def test_hostile_tables_are_named(name: str, value: Any) -> None:
     rows = {"points": np.tile([0.0, 0.0, -1.0], (9, 1)), "times": np.arange(9.0)}

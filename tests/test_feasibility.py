@@ -307,7 +307,7 @@ ONE_NUMBER: list[tuple[str, Callable[[Any], object]]] = [
 
 
 @pytest.mark.parametrize(("name", "call"), ONE_NUMBER)
-@pytest.mark.parametrize("value", NOT_NUMBERS, ids=lambda x: repr(x)[:20])
+@pytest.mark.parametrize("value", NOT_NUMBERS, ids=lambda x: repr(x).partition(" at 0x")[0][:20])
 def test_what_is_not_a_number_is_named(
     name: str, call: Callable[[Any], object], value: object
 ) -> None:
@@ -316,7 +316,7 @@ def test_what_is_not_a_number_is_named(
     assert len(str(caught.value)) <= LONGEST
 
 
-@pytest.mark.parametrize("value", NOT_ROWS, ids=lambda x: repr(x)[:20])
+@pytest.mark.parametrize("value", NOT_ROWS, ids=lambda x: repr(x).partition(" at 0x")[0][:20])
 def test_what_is_not_an_array_is_named(value: Any) -> None:
     for call in (
         lambda: feasibility.check(value, CURVE, 1.0),

@@ -191,7 +191,7 @@ def test_the_number_of_followers_has_an_upper_bound(formation: str) -> None:
     assert formations.MAX_FOLLOWERS == MAX_FOLLOWERS  # what a configuration takes
 
 
-@pytest.mark.parametrize("value", NOT_ROWS, ids=lambda x: repr(x)[:20])
+@pytest.mark.parametrize("value", NOT_ROWS, ids=lambda x: repr(x).partition(" at 0x")[0][:20])
 def test_hostile_offsets_are_named(value: Any) -> None:
     for call in (formations.is_rigid, formations.min_separation):
         with pytest.raises(ValueError, match=r"^offsets(\[\d+\])? = .*: expected") as caught:
