@@ -1,7 +1,7 @@
 """Noticing that a new episode has begun, from observations alone.
 
-After a reset every follower's `previous_action` is exactly zero. In flight it is so only where somebody
-commanded nothing but zeros, and then one tick explains what has changed in between. So a world has
+After a reset every follower's `previous_action` is exactly zero. In flight it is so only where
+nothing but zeros was commanded, and then one tick explains what has changed in between. So a world has
 begun anew if all its previous actions are zero and
 
 - its trigger (40) is no longer fired, which never happens in flight, or
@@ -9,7 +9,7 @@ begun anew if all its previous actions are zero and
 - a follower moved by more than its velocity and the strongest acceleration explain, noise included.
 
 None of these can happen in flight. It counts as begun anew, too, if the actions before were not zero and
-the trigger has not fired yet: should somebody have commanded zeros, a virtual follower that is placed
+the trigger has not fired yet: should zeros have been commanded, a virtual follower that is placed
 again stands where it stood. After the trigger that case is in doubt.
 """
 

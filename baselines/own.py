@@ -2,7 +2,7 @@
 
 A policy is anything with
 
-    reset(seed)          an episode begins; `seed` is a whole number for whoever draws at random
+    reset(seed)          an episode begins; `seed` is a whole number, for what is drawn at random
     act(observation)     the actions, float in [-1, 1]
 
 made by calling a class or function with the configuration (a `FormationConfig`), `MyPolicy(config)`; one

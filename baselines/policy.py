@@ -24,8 +24,8 @@ observations still to come, and the others go on.
 
 `Policy` is the base class of the baselines and implements all of that on top of `begin` and `decide`, and
 `begin_again` for those that remember: it takes observations in the form that every face gives them,
-refuses what nobody can act on, and notices new episodes that it was not told of. One implementation serves
-one world and ten thousand.
+refuses observations that are not finite numbers, and notices new episodes without `reset`. One
+implementation serves one world and ten thousand.
 """
 
 from __future__ import annotations

@@ -85,7 +85,7 @@ class _Line(event.Listener):  # type: ignore[misc]
 
 @final
 class Bar:
-    """A progress bar that many threads move on, and by which they are told to stop."""
+    """A progress bar that many threads advance; once stopped, it stops them at their next advance."""
 
     def __init__(self, total: int, description: str, quiet: bool = False) -> None:
         from tqdm import tqdm

@@ -30,7 +30,7 @@ def file_name(path: Any) -> str | os.PathLike[str]:
 def require_regular(path: str | os.PathLike[str]) -> None:
     """Raises `OSError` saying what the path is, if it is no regular file or there is none.
 
-    For those who open it by other means: a pipe would hold them up until somebody writes.
+    For files that are opened by other means: opening a pipe would block until a writer opens it.
     """
     _refuse_kind(os.stat(path).st_mode, path)
 
@@ -38,7 +38,7 @@ def require_regular(path: str | os.PathLike[str]) -> None:
 def read_bytes(path: str | os.PathLike[str], most: int = LARGEST) -> bytes:
     """What a file holds. Raises `OSError` where it is no regular file, cannot be read or is larger than
     `most` bytes; `strerror` says which."""
-    # A pipe that nobody writes into would hold up an ordinary `open`; fstat because the path may change.
+    # An ordinary `open` of a pipe without a writer would block; fstat because the path may change.
     flags = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)
     if os.name == "nt":  # where a folder cannot be opened, with another reason
         require_regular(path)

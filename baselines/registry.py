@@ -1,4 +1,4 @@
-"""The policies by name: those that are programmed, those that ship as files, anybody's files and code."""
+"""The policies by name: those that are programmed, those that ship as files, other files and code."""
 
 from __future__ import annotations
 

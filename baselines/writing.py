@@ -1,9 +1,9 @@
 """Output folders: one run at a time writes into one, and a file there is written whole or not at all.
 
 `claim` locks a folder with the operating system's file lock on `.formation.lock` in it, which a process
-loses when it dies, however it dies: a lock file that is left behind holds nobody up. The file's text says
-who holds it. While a file is written it has a name of its own that ends in `.part`; those of killed
-processes are removed by the next run that claims the folder.
+loses when it dies, however it dies: a lock file that is left behind blocks no run. The file's text names
+the process that holds it. While a file is written it has a name of its own that ends in `.part`; those of
+killed processes are removed by the next run that claims the folder.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def write_bytes(path: Path, data: bytes) -> None:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-            if not _WINDOWS:  # still locked, so nobody removes it first
+            if not _WINDOWS:  # still locked, so no other run removes it first
                 os.replace(part, path)
         if _WINDOWS:
             os.replace(part, path)
@@ -62,7 +62,7 @@ def _open_part(path: Path) -> tuple[int, Path]:
 
 
 def _remove_parts(folder: Path) -> None:
-    """Remove what killed processes were writing in `folder`: whatever nobody has locked."""
+    """Remove the `.part` files in `folder` that no process has locked: killed processes left them."""
     for part in folder.iterdir():
         if not (_PART.fullmatch(part.name) and part.is_file()):
             continue
@@ -200,7 +200,7 @@ else:
     def _lock(handle: int) -> bool:
         """Lock an open file for this process, without waiting. False where another one has.
 
-        True also on a file system without locks: two runs there are not told of each other.
+        True also on a file system without locks: there two runs in one folder are not noticed.
         """
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -135,7 +135,7 @@ _announcement = _Announcement()
 
 @contextmanager
 def untold() -> Iterator[None]:
-    """Within, nobody is told that a slow kernel is compiled: for who tells it in another way."""
+    """Within, the notice that a slow kernel is compiled is not printed: the caller prints its own."""
     before, _announcement._told = _announcement._told, True
     try:
         yield

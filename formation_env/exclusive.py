@@ -1,4 +1,4 @@
-"""One thread at a time, and who comes second is told so instead of waiting."""
+"""One thread at a time: a second one gets an error instead of waiting."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Exclusive:
 
     It does not wait for the other thread, which may never come back, and two threads that step the same
     worlds do not mean to. A process forked while another thread was inside is not held up by that
-    thread, which it does not have. A copy is nobody's.
+    thread, which it does not have. A copy is held by no thread.
 
     Where a tenth of a microsecond counts, instead of `with`: `exclusive.acquire(False) or
     exclusive.take_over()`, and `exclusive.release()` at last.

@@ -19,7 +19,7 @@ from formation_env.slots import in_frame
 from formation_env.so3 import Rotation, Vector, dot, rotation, sub
 from formation_env.world import REFERENCE, Action, Guide
 
-# How a follower's episode ended. LEADER: the leader crashed, which is nobody's failure and paid by nobody.
+# How a follower's episode ended. LEADER: the leader crashed, for which no follower pays.
 NO_FAILURE, COLLISION, IMPACT, LOST, LEADER = 0, 1, 2, 3, 4
 FAILURES = ("none", "collision", "impact", "lost", "leader")
 

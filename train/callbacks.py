@@ -29,7 +29,7 @@ class Keeper(BaseCallback):
     """Scores, keeps and stops a run between updates, where nothing is half done.
 
     `policy` gives the policy as it is now, `save_policy` and `save_run` write it and everything; `stop`
-    is asked whether somebody wants the run to end, `told` how far it is. What they raise ends it.
+    says whether the run is to end, `told` takes how far it is. What they raise ends it.
     """
 
     def __init__(

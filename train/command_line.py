@@ -33,7 +33,7 @@ def read(kinds: type[T], script: str, arguments: Sequence[str] | None) -> T:
 
     try:
         given: T = tyro.cli(kinds, prog=script, args=arguments)
-    except BrokenPipeError as problem:  # whoever read the help has gone
+    except BrokenPipeError as problem:  # the reader of the help has closed the pipe
         raise console.Unprintable from problem
     return given
 

@@ -41,9 +41,9 @@ class Options:
     action: Literal["wrench", "rates", "reference"] | None = None
     """Action level: wrench, rates or reference; by default the scenario's own."""
     method: Literal["bc", "dagger"] = "dagger"
-    """Who flies: the teacher all the time (bc), or the clone more and more (dagger)."""
+    """Way of learning: bc flies the teacher all the time, dagger the clone more and more."""
     teacher: str = "expert"
-    """Who is cloned: a policy's name, such as expert or expert-tuned, or a policy file."""
+    """Policy that is cloned: a name, such as expert or expert-tuned, or a policy file."""
     seed: int = 0
     """Seed of everything that is drawn: initial weights, episodes, exploration."""
     history: int = 1

@@ -60,7 +60,7 @@ class Run:
 
     @cached_property
     def judge(self) -> Judge:
-        """Who scores the policy. To make it flies episodes and so compiles what is not compiled yet."""
+        """Scores the policy. Making it flies episodes, and so compiles what is not compiled yet."""
         return Judge(self.options.config(), self.options.episodes)
 
     # -- files ------------------------------------------------------------------------------------
@@ -392,10 +392,9 @@ def _model(options: Options, env: FollowerVecEnv, source: tuple[Card, Network] |
     if options.actor_rate != 1.0 or options.kl is not None:
         model.part(options.actor_rate)
     model.set_logger(configure_logger(str(Path(options.output) / "tensorboard"), ["tensorboard"]))
-    policy = model.policy
     if source is None:
         scales = fixed_scales(env.config.layout)
-        policy.normalise(*scales, _state_scales(options, env))
+        model.policy.normalise(*scales, _state_scales(options, env))
     else:
-        adopt(policy, *source, env.followers)
+        adopt(model.policy, *source, env.followers)
     return model

@@ -154,7 +154,7 @@ class _Window:
         display = self._pygame.display
         try:
             display.init()
-            # Without a display some builds of SDL draw a window that nobody can see.
+            # Without a display some builds of SDL draw an invisible window.
             chosen = any(name in os.environ for name in ("SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER"))
             if not chosen and display.get_driver() in ("dummy", "offscreen"):
                 raise self._pygame.error("no display found")
