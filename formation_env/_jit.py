@@ -22,7 +22,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from numba import njit
-from numba.core import event
+from numba.core import event, types
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+from numba.extending import lower_builtin, type_callable
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -42,24 +45,83 @@ def _source_stamp(folder: Path) -> str | None:
     return digest.hexdigest()
 
 
+class _NoMachine:
+    """A code generator that does not look for machine code: of a function that is linked there is none."""
+
+    def __init__(self, codegen: Any) -> None:
+        self._codegen = codegen
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._codegen, name)
+
+    def set_env(self, name: str, env: Any) -> None:
+        pass
+
+
+class _Linked(JITCodeLibrary):  # type: ignore[misc]
+    """Code that kernels link. No machine code is made of it: that is made once, of the whole kernel."""
+
+    optimised = True
+
+    @property
+    def codegen(self) -> Any:
+        return _NoMachine(self._codegen)
+
+    def _optimize_final_module(self) -> None:
+        if self.optimised:
+            super()._optimize_final_module()
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        return 0
+
+
+class _LinkedLate(_Linked):
+    """The same, optimised with the kernel alone."""
+
+    optimised = False
+
+
+class _LinkedCompiler(Compiler):  # type: ignore[misc]
+    """Numba's compiler, for functions that are linked and never called from Python."""
+
+    library: Any = _Linked
+
+    def define_pipelines(self) -> Any:
+        pipelines = super().define_pipelines()
+        state = self.state
+        state.library = self.library(state.targetctx.codegen(), state.func_id.func_qualname)
+        return pipelines
+
+
+class _LateCompiler(_LinkedCompiler):
+    library = _LinkedLate
+
+
 def _apart(flags: Any) -> Any:
     """Have the compiler take it that no array a function writes overlaps another one it uses."""
     flags.noalias = True
     return flags
 
 
-def _called_by_kernels(function: F, apart: bool = False, **options: Any) -> F:
+def _called_by_kernels(
+    function: F, apart: bool = False, compiler: Any = _LinkedCompiler, **options: Any
+) -> F:
     """Compile `function` for kernels and, apart from that, for calls from Python.
 
-    Numba compiles two wrappers along with every function, for Python and for C, and takes as long for
-    them as for all the rest where arguments are big tuples. Kernels need neither, so what they link is
-    another compilation of the function, without wrappers; the one with them is made when a test or the
-    debugger calls the function from Python.
+    Numba compiles two wrappers along with every function, for Python and for C, and makes machine code of
+    each, which takes as long as all the rest. Kernels need neither, so what they link is another
+    compilation of the function; the one with them is made when a test or the debugger calls the function
+    from Python.
     """
     options = {"fastmath": FASTMATH, "error_model": "numpy", **options}
     called: Any = njit(**options)(function)
     if hasattr(called, "get_call_template"):
-        linked: Any = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)(function)
+        bare = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": compiler}
+        linked: Any = njit(**bare, **options)(function)
         for one in (called, linked) if apart else ():
             # A flag of Numba's compiler that `njit` does not hand on.
             one._compiler._customize_flags = _apart
@@ -71,6 +133,39 @@ def _called_by_kernels(function: F, apart: bool = False, **options: Any) -> F:
 def device(function: F) -> F:
     """Compile `function` to be inlined into the kernels that call it."""
     return _called_by_kernels(function, forceinline=True)
+
+
+def step(function: F) -> F:
+    """Compile `function` as a part of the loop over tiles: inlined, and optimised with the kernel alone.
+
+    For code that moves views and counters about; mathematics is a `device`, whose numbers then do not
+    depend on where it is inlined.
+    """
+    return _called_by_kernels(function, compiler=_LateCompiler, forceinline=True)
+
+
+def builtin(result: Callable[..., Any], build: Callable[..., Any]) -> Callable[[F], F]:
+    """Give kernels a function that no Python expresses: `build` writes what LLVM is to do.
+
+    `result` has the function's arguments, as types, and returns the type of what comes out. Called from
+    Python it is the function itself.
+    """
+
+    def give(function: F) -> F:
+        type_callable(function)(lambda context: result)
+        lower_builtin(function, types.VarArg(types.Any))(build)
+        return function
+
+    return give
+
+
+def device_as_generated(function: F) -> F:
+    """A `device` that kernels link in the form that making machine code of it left it in.
+
+    LLVM's code generator rewrites a function before it writes machine code. Where last bits of results that
+    are to stay what they are depend on that, it has to be run.
+    """
+    return _called_by_kernels(function, compiler=Compiler, forceinline=True)
 
 
 def plain(function: F) -> F:

@@ -16,9 +16,10 @@ from typing import Any, final
 
 import numpy as np
 
-from formation_env import formations
+from formation_env import formations, levels
 from formation_env.bounds import check_clock, check_moments, check_rate_loop
 from formation_env.checks import choice, integer, number, refuse, require
+from formation_env.disturbances import Gusts
 from formation_env.feasibility import Feasibility, FeasibilityWarning, check, require_feasible
 from formation_env.gains import RATES_GAINS, PlannerGains, TrackerGains
 from formation_env.leader_path import require_flyable
@@ -37,9 +38,8 @@ from formation_env.so3 import Vector
 from formation_env.task import ANYWHERE, NEAR, RATE_BOUND, Layout, Limits, Rewards
 from formation_env.trajectories import Trajectory, as_trajectory, figure_eight, path_start
 from formation_env.vehicle import Vehicle, vector3
-from formation_env.world import RATE, REFERENCE, WRENCH, Clock, Gusts, Reach, World
+from formation_env.world import Clock, Reach, World
 
-LEVELS = {"wrench": WRENCH, "rates": RATE, "reference": REFERENCE}
 ACTUATIONS = {"moment": MOMENT, "rates": RATES}
 
 NO_NOISE = Noise(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -55,7 +55,7 @@ PARTS: dict[str, Any] = {
     "limits": Limits(collision=0.2, impact=1.0, tilt=0.5, lost=10.0),
 }
 _CHOICES = {
-    "action": tuple(LEVELS),
+    "action": levels.NAMES,
     "start": ("formation", "ground"),
     "estimator": ("direct", "differenced"),
     "leader_actuation": tuple(ACTUATIONS),
@@ -245,7 +245,12 @@ class FormationConfig:
     @property
     def action_size(self) -> int:
         """Entries of one follower's action: 4, or 3 at action level `reference`."""
-        return 3 if self.action == "reference" else 4
+        return self.level.size
+
+    @property
+    def level(self) -> levels.Level:
+        """The row of `levels.LEVELS` that `action` names."""
+        return levels.LEVELS[levels.numbered(self.action)]
 
     @property
     def max_steps(self) -> int:
@@ -255,14 +260,13 @@ class FormationConfig:
     @cached_property
     def layout(self) -> Layout:
         """Names of the observation's entries."""
-        return Layout(LEVELS[self.action], self.neighbours)
+        return Layout(levels.numbered(self.action), self.neighbours)
 
     @property
     def follower_actuation(self) -> int:
         """What a follower's body is turned by: MOMENT or RATES."""
-        if self.action == "reference":
-            return ACTUATIONS[self.reference_actuation]
-        return RATES if self.action == "rates" else MOMENT
+        own = self.level.actuation
+        return ACTUATIONS[self.reference_actuation] if own is None else own
 
     def feasibility(self) -> tuple[Feasibility, ...]:
         """Report on (23)-(30) for every follower along the leader's trajectory."""
@@ -298,7 +302,7 @@ class FormationConfig:
             self._gusts(),
             ACTUATIONS[self.leader_actuation],
             self.follower_actuation,
-            LEVELS[self.action],
+            levels.numbered(self.action),
             self.trigger,
             int(self.start == "ground"),
             self.start_offset,

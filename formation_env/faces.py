@@ -10,7 +10,8 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from formation_env.checks import choice, refuse
-from formation_env.memory import ERROR, FAILED, SEPARATION, SLOT, TERMS
+from formation_env.records import define, slices
+from formation_env.task import Outcome, Terms
 
 if TYPE_CHECKING:
     from formation_env.config import FormationConfig
@@ -19,14 +20,41 @@ if TYPE_CHECKING:
 
 RENDER_MODES = ("human", "rgb_array")
 
-# Made once: a step takes some ten views, and building each one's index and dtype anew would cost half
-# as much again as taking it.
 FLOAT = np.dtype(np.float32)
 _INTEGER = np.dtype(np.int64)
-_SLOTS, _ERRORS = (..., slice(SLOT, SLOT + 3)), (..., slice(ERROR, ERROR + 3))
-_SEPARATION, _FAILED = (..., SEPARATION), (..., FAILED)
 _MANY = 256  # worlds
-_FORMATION, _EFFORT, _SMOOTHNESS, _FAILURE = ((..., TERMS + k) for k in range(4))
+
+# Columns of an `Outcome` by name, and those of the reward's terms by their names in `info`.
+COLUMNS = slices(Outcome)
+REWARD, SEPARATION, FAILED = (COLUMNS[n].start for n in ("reward", "separation", "failed"))
+TERMS = {f"reward_{n}": COLUMNS["terms"].start + where.start for n, where in slices(Terms).items()}
+# Made once: a step takes some ten views, and building each one's index anew would cost half as much again
+# as taking it. The dictionaries are displays in code made of the fields, which is as fast as written out.
+_INDICES: dict[str, Any] = {
+    "slots": (..., COLUMNS["slot"]),
+    "slot_error": (..., COLUMNS["slot_error"]),
+    "separation": (..., SEPARATION),
+    "failure": None,
+    **{name: (..., column) for name, column in TERMS.items()},
+}
+
+
+def _info_of_rows() -> Any:
+    """`info(outputs, failures)`: views by name of result rows."""
+    shown = [f"{n!r}: " + ("failures" if i is None else f"outputs[{n}]") for n, i in _INDICES.items()]
+    source = "def info(outputs, failures):\n    return {" + ", ".join(shown) + "}\n"
+    return define("info", source, _INDICES)
+
+
+def _info_of_agent() -> Any:
+    """`info(slot, error, row)`: what PettingZoo reports of one follower, from views and a row's numbers."""
+    shown = ["'slot': slot", "'slot_error': error", f"'separation': row[{SEPARATION}]"]
+    shown += [f"'failure': int(row[{FAILED}])", *(f"{n!r}: row[{k}]" for n, k in TERMS.items())]
+    source = "def info(slot, error, row):\n    return {" + ", ".join(shown) + "}\n"
+    return define("info", source, {})
+
+
+_describe_rows, describe_agent = _info_of_rows(), _info_of_agent()
 
 
 def observation_space(config: FormationConfig, rows: int) -> Any:
@@ -104,16 +132,8 @@ def describe(
     terms of the reward, `reward_formation` and so on, each with the leading shape of `outputs`.
     Nothing in it is nested: other libraries make one tensor of every entry.
     """
-    return {
-        "slots": outputs[_SLOTS],
-        "slot_error": outputs[_ERRORS],
-        "separation": outputs[_SEPARATION],
-        "failure": _failures(outputs, terminated),
-        "reward_formation": outputs[_FORMATION],
-        "reward_effort": outputs[_EFFORT],
-        "reward_smoothness": outputs[_SMOOTHNESS],
-        "reward_failure": outputs[_FAILURE],
-    }
+    described: dict[str, Any] = _describe_rows(outputs, _failures(outputs, terminated))
+    return described
 
 
 def _failures(
@@ -121,7 +141,7 @@ def _failures(
 ) -> NDArray[np.int64]:
     """Kinds of failure. Of many worlds few have ended: to look at all would fetch all outputs."""
     if terminated is None or len(terminated) < _MANY:
-        return outputs[_FAILED].astype(_INTEGER)
+        return outputs[..., FAILED].astype(_INTEGER)
     failures = np.zeros(outputs.shape[:-1], _INTEGER)
     ended = np.flatnonzero(terminated)
     failures[ended] = outputs[ended, :, FAILED]

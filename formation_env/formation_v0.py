@@ -18,7 +18,8 @@ from formation_env import faces
 from formation_env.arguments import Fixed, check_options, configured, limit, whole_seed
 from formation_env.checks import integer, refuse, shown
 from formation_env.config import FormationConfig
-from formation_env.memory import ERROR, FAILED, REWARD, SEPARATION, SLOT, TERMS, Results
+from formation_env.arrays import Results
+from formation_env.faces import COLUMNS
 from formation_env.simulation import Simulation, Snapshot, stream_key
 from formation_env.warning import warn_user
 
@@ -77,7 +78,7 @@ class FormationParallelEnv(Fixed, ParallelEnv[str, Array, Array]):
         # Each agent and the indices of what is its own, in arrays `(1, followers, ...)`: made once,
         # because a step spends more on finding its numbers than on reading them.
         self._places = [
-            (agent, (0, i), (0, i, slice(SLOT, SLOT + 3)), (0, i, slice(ERROR, ERROR + 3)))
+            (agent, (0, i), (0, i, COLUMNS["slot"]), (0, i, COLUMNS["slot_error"]))
             for i, agent in enumerate(self.possible_agents)
         ]
         self._everyone = frozenset(self.possible_agents)
@@ -217,17 +218,8 @@ class FormationParallelEnv(Fixed, ParallelEnv[str, Array, Array]):
         for agent, own, slot, error in self._places:
             row = next(numbers)
             observations[agent] = seen[own]
-            rewards[agent] = row[REWARD]
-            infos[agent] = {
-                "slot": outputs[slot],
-                "slot_error": outputs[error],
-                "separation": row[SEPARATION],
-                "failure": int(row[FAILED]),
-                "reward_formation": row[TERMS],
-                "reward_effort": row[TERMS + 1],
-                "reward_smoothness": row[TERMS + 2],
-                "reward_failure": row[TERMS + 3],
-            }
+            rewards[agent] = row[faces.REWARD]
+            infos[agent] = faces.describe_agent(outputs[slot], outputs[error], row)
         return observations, rewards, infos
 
     def state(self) -> Array:

@@ -13,9 +13,8 @@ names: a `Body` of the rows of a vehicle's measurement.
 from __future__ import annotations
 
 import linecache
-from collections.abc import Callable
 from functools import cache
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -24,6 +23,15 @@ from formation_env._jit import device
 LANES = 16  # worlds side by side in a tile: two vectors of doubles, one of single precision
 
 _NUMBERS = (float, int, bool)
+
+
+class Quantity(NamedTuple):
+    """What annotates a field that users see: `slot: Annotated[Vector, Quantity("m", "inertial", ...)]`."""
+
+    unit: str
+    frame: str
+    meaning: str
+    bound: float = float("inf")  # that its numbers are clipped to
 
 
 @cache
@@ -105,6 +113,12 @@ def rows_in(kind: Any, layout: Any) -> tuple[int, ...]:
     return tuple(found)
 
 
+def bounds(kind: Any) -> tuple[float, ...]:
+    """The bounds of a record's numbers, from the `Quantity` of each field."""
+    found = notes(kind)
+    return tuple(found[n].bound for n, one in fields(kind).items() for _ in range(size(one)))
+
+
 def flatten(value: Any) -> list[float]:
     """The numbers of a record, or of a nested tuple, in order, for `line_loader`."""
     if isinstance(value, tuple):
@@ -136,60 +150,34 @@ def build(kind: Any, reads: list[str], names: dict[str, Any]) -> str:
 def _read(kind: Any, place: str) -> str:
     """The expression of a number of this type that lies at a place."""
     if kind is bool:
-        return f"({place} != 0)"
+        return f"({place} > 0.0)"
     return f"np.float64({place})" if kind is float else f"np.int64({place})"
 
 
-def row_place(row: int, array: str = "x", lane: str = "lane") -> str:
-    """The expression of the entry of a lane in a row of a tile."""
-    return f"{array}[np.uint64({row * LANES}) + {lane}]"
+def _written(path: str, kind: Any) -> str:
+    return f"(1.0 if v{path} else 0.0)" if kind is bool else f"v{path}"
 
 
-def load_expression(
-    kind: Any, names: dict[str, Any], layout: Any = None, array: str = "x", lane: str = "lane"
-) -> str:
-    """The expression that loads a value from the rows of a tile."""
-    places = [row_place(row, array, lane) for row in rows_in(kind, layout or kind)]
-    reads = [_read(n, p) for (_, n), p in zip(parts(kind), places, strict=True)]
-    return build(kind, reads, names)
-
-
-def store_lines(
-    kind: Any,
-    layout: Any = None,
-    array: str = "x",
-    lane: str = "lane",
-    value: str = "v",
-    keep: str = "",
-    shown: Callable[[int, str], str] = lambda number, text: text,
-) -> list[str]:
-    """The statements that store a value in the rows of a tile, where the condition `keep` holds if given."""
-    lines = []
-    for k, (row, (path, one)) in enumerate(
-        zip(rows_in(kind, layout or kind), parts(kind), strict=True)
-    ):
-        place = row_place(row, array, lane)
-        text = shown(k, f"(1.0 if {value}{path} else 0.0)" if one is bool else f"{value}{path}")
-        lines.append(f"{place} = {text}" + (f" if {keep} else {place}" if keep else ""))
-    return lines
+def _places(kind: Any, layout: Any, names: dict[str, Any]) -> list[str]:
+    """Where the numbers of a lane lie in the rows of a tile; indices are unsigned, else no vector code."""
+    rows = rows_in(kind, layout or kind)
+    names.update({f"row_{row}": np.uint64(row * LANES) for row in rows})
+    return [f"x[row_{row} + lane]" if row else "x[lane]" for row in rows]
 
 
 def define(name: str, source: str, names: dict[str, Any]) -> Any:
-    """The function that `source` defines, known to tracebacks and the debugger under a file of its own."""
-    file = f"<formation_env: {name}>"
+    """The function `name` that `source` defines; tracebacks and the debugger find its lines."""
+    file = f"<formation_env: {name} {len(linecache.cache)}>"
     linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
     space = {"np": np, "__name__": __name__, **names}
     exec(compile(source, file, "exec"), space)
     return space[name]
 
 
-def _function(name: str, arguments: str, body: list[str], names: dict[str, Any]) -> Any:
-    source = f"def {name}({arguments}):\n" + "".join(f"    {line}\n" for line in body)
-    return device(define(name, source, names))
-
-
-def _name(kind: Any) -> str:
-    return getattr(kind, "__name__", None) or "".join(c for c in str(kind) if c.isalnum())
+def _function(verb: str, kind: Any, arguments: str, body: list[str], names: dict[str, Any]) -> Any:
+    what = kind.__name__ if is_record(kind) else "".join(c for c in str(kind) if c.isalnum())
+    source = f"def {verb}_{what}({arguments}):\n" + "".join(f"    {line}\n" for line in body)
+    return device(define(f"{verb}_{what}", source, names))
 
 
 @cache
@@ -199,14 +187,35 @@ def loader(kind: Any, layout: Any = None) -> Any:
     With `layout` the rows are those of that record, of which `kind` has some of the fields.
     """
     names: dict[str, Any] = {}
-    line = load_expression(kind, names, layout)
-    return _function(f"load_{_name(kind)}", "x, lane", [f"return {line}"], names)
+    places = _places(kind, layout, names)
+    reads = [_read(one, place) for (_, one), place in zip(parts(kind), places, strict=True)]
+    return _function("load", kind, "x, lane", [f"return {build(kind, reads, names)}"], names)
 
 
 @cache
-def storer(kind: Any, layout: Any = None) -> Any:
-    """`store(x, lane, v)`: the inverse of `loader`."""
-    return _function(f"store_{_name(kind)}", "x, lane, v", store_lines(kind, layout), {})
+def storer(kind: Any, layout: Any = None, bounds: tuple[float, ...] = ()) -> Any:
+    """`store(x, lane, v)`: the inverse of `loader`; each number is clipped to its bound, if there are any.
+
+    Clipped, what is not a number becomes the lower bound.
+    """
+    names: dict[str, Any] = {}
+    lines = []
+    for k, place in enumerate(_places(kind, layout, names)):
+        text = _written(*parts(kind)[k])
+        if bounds:
+            text = f"min(max({-bounds[k]!r}, {text}), {bounds[k]!r})"
+        lines.append(f"{place} = {text}")
+    return _function("store", kind, "x, lane, v", lines, names)
+
+
+@cache
+def keeper(kind: Any, layout: Any = None) -> Any:
+    """`keep(x, lane, on, v)`: `storer`, where `on` holds."""
+    names: dict[str, Any] = {}
+    places = _places(kind, layout, names)
+    texts = [_written(path, one) for path, one in parts(kind)]
+    lines = [f"{x} = {text} if on else {x}" for x, text in zip(places, texts, strict=True)]
+    return _function("keep", kind, "x, lane, on, v", lines, names)
 
 
 @cache
@@ -214,18 +223,38 @@ def line_loader(kind: Any) -> Any:
     """`load(x)`: the value whose numbers a line begins with, the inverse of `flatten`; compiled code."""
     names: dict[str, Any] = {}
     reads = [_read(one, f"x[{k}]") for k, (_, one) in enumerate(parts(kind))]
-    return _function(f"read_{_name(kind)}", "x", [f"return {build(kind, reads, names)}"], names)
+    return _function("read", kind, "x", [f"return {build(kind, reads, names)}"], names)
+
+
+@cache
+def part_loader(kind: Any, field: str) -> Any:
+    """`load(x)`: one field of the record whose numbers a line begins with; compiled code."""
+    names: dict[str, Any] = {}
+    one = fields(kind)[field]
+    first = slices(kind)[field].start
+    reads = [_read(each, f"x[{first + k}]") for k, (_, each) in enumerate(parts(one))]
+    line = f"return {build(one, reads, names)}"
+    return _function(f"read_{field}_of", kind, "x", [line], names)
 
 
 @cache
 def line_storer(kind: Any) -> Any:
     """`store(x, v)`: the inverse of `line_loader`."""
     lines = [f"x[{k}] = v{path}" for k, (path, _) in enumerate(parts(kind))]
-    return _function(f"write_{_name(kind)}", "x, v", lines, {})
+    return _function("write", kind, "x, v", lines, {})
+
+
+@cache
+def chooser(kind: Any) -> Any:
+    """`choose(on, a, b)`: the record `a` if `on` holds, else `b`, number by number; compiled code."""
+    names: dict[str, Any] = {}
+    reads = [f"(a{path} if on else b{path})" for path, _ in parts(kind)]
+    line = f"return {build(kind, reads, names)}"
+    return _function("choose", kind, "on, a, b", [line], names)
 
 
 @cache
 def total(kind: Any) -> Any:
     """`total(v)`: the sum of a record's numbers, from the first to the last; compiled code."""
     text = " + ".join(f"v{path}" for path, _ in parts(kind))
-    return _function(f"total_{_name(kind)}", "v", [f"return {text}"], {})
+    return _function("total", kind, "v", [f"return {text}"], {})

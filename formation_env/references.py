@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from formation_env._jit import device
+from formation_env._jit import device, device_as_generated
 from formation_env.so3 import ZERO, Vector
 
 Floats = NDArray[np.float64]
@@ -71,7 +71,7 @@ def _sines_axis(table: Floats, axis: int, t: float) -> Five:
     return (p, v, a, j, s)
 
 
-@device
+@device_as_generated  # by the random paths of recorded flights
 def _sines(table: Floats, t: float) -> Reference:
     """`centre + drift t + sum of amplitude sin(rate t + phase)`, axis by axis."""
     return _by_derivative(

@@ -15,6 +15,7 @@ from math import atan2, sqrt
 from typing import NamedTuple
 
 from formation_env._jit import device
+from formation_env.quadrotor import Airframe, Body, Wrench, acceleration
 from formation_env.rng import MEASUREMENT, Four, normals
 from formation_env.so3 import (
     Quaternion,
@@ -44,6 +45,17 @@ class Measured(NamedTuple):
     a: Vector  # m/s^2, inertial
     q: Quaternion  # attitude, body to inertial
     w: Vector  # rad/s, body
+
+
+@device
+def truth(
+    body: Body, applied: Wrench, push: Vector, touching: bool, airframe: Airframe
+) -> Measured:
+    """What perfect sensors would read. The acceleration is the one under the thrust now applied."""
+    a = (0.0, 0.0, 0.0)
+    if not touching:
+        a = acceleration(body.q, applied.thrust, push, airframe)
+    return Measured(body.p, body.v, a, body.q, body.w)
 
 
 @device

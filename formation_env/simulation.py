@@ -1,8 +1,5 @@
 """Many worlds: threads, reset, seeding, saving.
 
-With `kernels` and what it is made of, `lanes`, `memory` and `blocks`, it is the layer that knows
-the layout.
-
 Every face steps worlds through the one compiled kernel `advance`, and the threads of a `team` are in
 that same machine code, on tiles of worlds that they take one by one. A world's numbers depend on its
 key, its actions and nothing else, so they are bit for bit those of any other number of worlds or threads.
@@ -19,28 +16,18 @@ from gymnasium.utils import seeding
 from numba import config as numba_config
 from numpy.typing import NDArray
 
-from formation_env import kernels, memory
-from formation_env._jit import plain
-from formation_env.blocks import LANES
+from formation_env import arrays, kernels
+from formation_env.arrays import Counters, Results, by_world, rows
 from formation_env.checks import array, integer, require
 from formation_env.config import FormationConfig
 from formation_env.exclusive import Exclusive
-from formation_env.memory import (
-    ATTITUDE,
-    CLOCK,
-    EPISODE,
-    OVER,
-    RATE_OF_TURN,
-    SLOT,
-    STARTED,
-    TICK,
-    Floats,
-    Results,
-)
+from formation_env.records import LANES, slices
+from formation_env.sensors import Measured
 from formation_env.snapshots import Snapshot as Snapshot  # as `simulation.Snapshot`
 from formation_env.snapshots import check_snapshot
-from formation_env.task import Layout
-from formation_env.team import Team, cores
+from formation_env.store import Floats
+from formation_env.task import Layout, Outcome
+from formation_env.threads import Team, cores
 
 # Each thread has at least about so many. A worker that has to be woken pays from 384 vehicles on, and one
 # that still looks out from half of that.
@@ -79,16 +66,16 @@ class Simulation:
         self._max_steps = self._limited(config.max_steps if max_steps is None else max_steps)
         self._asked = min(threads, num_worlds)
         self._shape = (num_worlds, config.followers, config.action_size)
-        self._tiles = memory.tiles(num_worlds)
+        self._tiles = arrays.tiles(num_worlds)
         # A second thread has to have enough to do; below that it would cost more than it saves.
         work = 1 + num_worlds * (config.followers + 1) // _VEHICLES_PER_THREAD
         self._threads = min(self._asked, self._tiles, work, cores())
         if numba_config.DISABLE_JIT:
             self._threads = 1  # Python has no atomics
-        self._results = memory.Shapes(config, num_worlds).results
-        self._memory = memory.allocate(config, num_worlds, self._max_steps, _references(config))
-        self._state = memory.views(self._memory)[1]
-        self._rooms = [memory.scratch(self._memory) for _ in range(self._threads)]
+        self._results = arrays.Shapes(config, num_worlds).results
+        self._memory = arrays.allocate(config, num_worlds, self._max_steps, _references(config))
+        self._open()
+        self._rooms = [arrays.room(self._memory) for _ in range(self._threads)]
         self._everyone = np.ones(num_worlds, dtype=np.bool_)
         self._team: Team | None = None
         self._begun = False
@@ -131,8 +118,8 @@ class Simulation:
         world = integer("world", world, 0, self._num_worlds - 1)
         key = integer("key", key, 0, 2**64 - 1)
         with self._alone:
-            self._state.keys[world] = key
-            self._state.counters[EPISODE, world] = -1
+            self._state.keys.reshape(-1)[world] = key
+            self._counters["episode"][self._place(world)] = -1
             self._begun = False
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> Results:
@@ -210,7 +197,7 @@ class Simulation:
         if self._team is None or self._team.owner != os.getpid():
             config = self._config
             actions = np.zeros((0, config.followers, config.action_size), dtype=np.float32)
-            nobody, nothing = np.zeros(0, dtype=np.bool_), memory.Shapes(config, 0).results(True)
+            nobody, nothing = np.zeros(0, dtype=np.bool_), arrays.Shapes(config, 0).results(True)
             serve: Any = kernels.advance
             arguments = [
                 (kernels.STEP, actions, nobody, self._memory, room, *nothing)
@@ -231,62 +218,72 @@ class Simulation:
         """Truncate episodes after so many ticks, or at the configured duration if that is earlier."""
         with self._alone:
             self._max_steps = self._limited(max_steps)
-            plain(memory.size_numbers)(self._memory)[memory.MAX_STEPS] = self._max_steps
+            arrays.MEMORY.set_size(self._memory, "max_steps", self._max_steps)
 
     def _limited(self, max_steps: int) -> int:
         return min(integer("max_steps", max_steps, 1), self._config.max_steps)
 
     # -- looking in: all arrays are read-only -------------------------------------------------------
 
-    def _counter(self, which: int) -> NDArray[np.int64]:
-        """One of the counters of all worlds, in place."""
-        row: NDArray[np.int64] = self._state.counters[which, : self._num_worlds]
+    def _open(self) -> None:
+        """Views of the memory."""
+        self._state = arrays.state_of(self._memory)
+        self._counters = rows(self._state.counters, Counters)
+
+    def _place(self, world: int) -> tuple[int, int, int]:
+        """Where a counter of one world lies."""
+        return world // LANES, 0, world % LANES
+
+    def _counter(self, name: str) -> NDArray[np.int64]:
+        """One of the counters of all worlds, a copy."""
+        row: NDArray[np.int64] = self._counters[name].reshape(-1)[: self._num_worlds]
         return row
 
-    @property
-    def _vehicles(self) -> Floats:
-        return _fixed(memory.by_world(self._state.vehicles, self._num_worlds))
+    def _vehicles(self, name: str) -> Floats:
+        """One of the numbers of the true motion of all vehicles, `(worlds, vehicles, ...)`."""
+        part = rows(self._state.vehicles, Measured)[name]
+        return _fixed(by_world(part.reshape(*part.shape[:-2], -1), self._num_worlds))
 
     @property
     def positions(self) -> Floats:
         """True positions, `(num_worlds, 1 + followers, 3)`, m, inertial; the leader first."""
-        return self._vehicles[..., 0:3]
+        return self._vehicles("p")
 
     @property
     def leaders(self) -> Floats:
         """True positions of the leaders alone, `(num_worlds, 3)`, m, inertial."""
-        rows = self._state.vehicles[:, 0, : 3 * LANES].reshape(-1, 3, LANES)
-        return _fixed(np.array(rows.transpose(0, 2, 1).reshape(-1, 3)[: self._num_worlds]))
+        p = rows(self._state.vehicles[:, 0], Measured)["p"]
+        return _fixed(np.array(p.transpose(0, 2, 1).reshape(-1, 3)[: self._num_worlds]))
 
     @property
     def velocities(self) -> Floats:
         """True velocities, same shape, m/s, inertial."""
-        return self._vehicles[..., 3:6]
+        return self._vehicles("v")
 
     @property
     def attitudes(self) -> Floats:
         """True attitudes, `(num_worlds, 1 + followers, 4)`, quaternions (w, x, y, z)."""
-        return self._vehicles[..., ATTITUDE : ATTITUDE + 4]
+        return self._vehicles("q")
 
     @property
     def angular_velocities(self) -> Floats:
         """True angular velocities, `(num_worlds, 1 + followers, 3)`, rad/s, body."""
-        return self._vehicles[..., RATE_OF_TURN : RATE_OF_TURN + 3]
+        return self._vehicles("w")
 
     @property
     def slots(self) -> Floats:
         """Where the followers should be, `(num_worlds, followers, 3)`, m, inertial."""
-        return _fixed(self.look().outputs)[..., SLOT : SLOT + 3]
+        return _fixed(self.look().outputs)[..., slices(Outcome)["slot"]]
 
     @property
     def started(self) -> NDArray[Any]:
         """Whether the trigger (40) has fired, per world."""
-        return _fixed(np.not_equal(self._counter(STARTED), 0))
+        return _fixed(np.not_equal(self._counter("started"), 0))
 
     @property
     def seeded(self) -> NDArray[np.bool_]:
         """Whether an episode has been started since the last `seed`, per world."""
-        return _fixed(np.greater_equal(self._counter(EPISODE), 0))
+        return _fixed(np.greater_equal(self._counter("episode"), 0))
 
     @property
     def begun(self) -> bool:
@@ -296,22 +293,22 @@ class Simulation:
 
     def ended(self, world: int) -> bool:
         """Whether the episode of one world has ended, or none has begun."""
-        return bool(self._state.counters[OVER, world])
+        return bool(self._counters["over"][world // LANES, 0, world % LANES])
 
     @property
     def over(self) -> NDArray[Any]:
         """Whether the episode has ended, per world."""
-        return _fixed(np.not_equal(self._counter(OVER), 0))
+        return _fixed(np.not_equal(self._counter("over"), 0))
 
     @property
     def time(self) -> NDArray[Any]:
         """Time since reset, s, per world."""
-        return _fixed(self._counter(TICK) * self._config.control_period)
+        return _fixed(self._counter("tick") * self._config.control_period)
 
     @property
     def clock(self) -> NDArray[Any]:
         """Time since the trigger (40), s, per world: the argument of the leader's reference."""
-        return _fixed(self._counter(CLOCK) * self._config.control_period)
+        return _fixed(self._counter("clock") * self._config.control_period)
 
     def reference(self, times: Floats, world: int = 0) -> Floats:
         """The leader's reference positions at `times` since the trigger, `(N, 3)`, m, inertial."""
@@ -327,8 +324,8 @@ class Simulation:
     def get_state(self) -> Snapshot:
         """Everything needed to continue identically, as copies."""
         with self._alone:
-            arrays = {name: own.copy() for name, own in self._state._asdict().items()}
-        return Snapshot(self._config, arrays)
+            saved = {name: own.copy() for name, own in self._state._asdict().items()}
+        return Snapshot(self._config, saved)
 
     def set_state(self, snapshot: Snapshot) -> None:
         """Continue from a snapshot of the same configuration and number of worlds.
@@ -347,19 +344,19 @@ class Simulation:
         # The state's arrays are views, which a copy would cut off from the memory they show.
         with self._alone:
             numbers = self._memory.copy()
-        left = {"_team": None, "_state": None, "_memory": numbers}
+        left = {"_team": None, "_state": None, "_counters": None, "_memory": numbers}
         return {**self.__dict__, **left}
 
     def __setstate__(self, saved: dict[str, Any]) -> None:
         self.__dict__.update(saved)
-        self._state = memory.views(self._memory)[1]
+        self._open()
 
 
 def _references(config: FormationConfig) -> Floats:
     """The leader's reference tick by tick; empty if it is drawn anew each episode, or the episode is long."""
     path, steps = config.trajectory, config.max_steps
     if path.random is not None or steps > TABULATED:
-        return np.zeros((0, memory.REFERENCE_ROW))
+        return np.zeros((0, arrays.LINE))
     period = float(config.control_period)
     table: Floats = kernels.reference_table(path.kind, path.table, period, steps)
     return table

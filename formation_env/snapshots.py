@@ -14,20 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formation_env.checks import refuse_where, require, shown
-from formation_env.memory import (
-    ATTITUDE,
-    CLOCK,
-    EPISODE,
-    ESTIMATE,
-    HEADING,
-    OVER,
-    PREVIOUS,
-    RATE_OF_TURN,
-    STARTED,
-    TICK,
-    State,
-    by_world,
-)
+from formation_env.arrays import Counters, State, by_world, rows
+from formation_env.levels import Follower
+from formation_env.records import slices
+from formation_env.sensors import Measured
 from formation_env.world import MAX_TICKS
 
 if TYPE_CHECKING:
@@ -65,7 +55,8 @@ def check_snapshot(snapshot: Any, config: FormationConfig, own: State, worlds: i
     state = State(**snapshot.state)
     _check_counters(state)
     _check_tables(state, config)
-    live = np.flatnonzero(state.counters[OVER, :worlds] == 0)
+    over = rows(state.counters, Counters)["over"].reshape(-1)[:worlds]
+    live = np.flatnonzero(over == 0)
     _check_vehicles(by_world(state.vehicles, worlds)[live], "vehicles")
     _check_samples(by_world(state.samples, worlds)[live])
     _check_followers(by_world(state.followers, worlds)[live])
@@ -73,21 +64,23 @@ def check_snapshot(snapshot: Any, config: FormationConfig, own: State, worlds: i
     _check_finite("speeds", state.speeds[live])
 
 
+_COUNTED = {
+    "tick": (0, 2 * MAX_TICKS),
+    "started": (0, 1),
+    "clock": (0, 2 * MAX_TICKS),
+    "episode": (-1, _EPISODES),
+    "over": (0, 1),
+}
+
+
 def _check_counters(state: State) -> None:
-    bounds = {
-        "tick": (TICK, 0, 2 * MAX_TICKS),
-        "started": (STARTED, 0, 1),
-        "clock": (CLOCK, 0, 2 * MAX_TICKS),
-        "episode": (EPISODE, -1, _EPISODES),
-        "over": (OVER, 0, 1),
-    }
-    for name, (row, low, high) in bounds.items():
-        values = state.counters[row]
-        _refuse_where(
-            (values < low) | (values > high), f"counters[{name}]", values, f"{low} to {high}"
-        )
-    late = state.counters[CLOCK] > state.counters[TICK]
-    _refuse_where(late, "counters[clock]", state.counters[CLOCK], "no more than the ticks flown")
+    counted = {n: x.reshape(-1) for n, x in rows(state.counters, Counters).items()}
+    for name, (low, high) in _COUNTED.items():
+        values = counted[name]
+        bad = (values < low) | (values > high)
+        _refuse_where(bad, f"counters[{name}]", values, f"{low} to {high}")
+    late = counted["clock"] > counted["tick"]
+    _refuse_where(late, "counters[clock]", counted["clock"], "no more than the ticks flown")
 
 
 def _check_tables(state: State, config: FormationConfig) -> None:
@@ -114,10 +107,11 @@ def _check_attitudes(name: str, q: Floats, tolerance: float) -> None:
 
 def _check_vehicles(vehicles: Floats, name: str) -> None:
     _check_finite(name, vehicles)
-    _check_attitudes(name, vehicles[..., ATTITUDE : ATTITUDE + 4], 1e-6)
+    where = slices(Measured)
+    _check_attitudes(name, vehicles[..., where["q"]], 1e-6)
     with np.errstate(over="ignore"):
-        for first, what in ((0, "position"), (3, "velocity"), (RATE_OF_TURN, "angular velocity")):
-            square = np.square(vehicles[..., first : first + 3]).sum(axis=-1)
+        for part, what in (("p", "position"), ("v", "velocity"), ("w", "angular velocity")):
+            square = np.square(vehicles[..., where[part]]).sum(axis=-1)
             _refuse_where(
                 ~np.isfinite(square), f"{name} ({what}, squared)", square, "a finite number"
             )
@@ -126,16 +120,17 @@ def _check_vehicles(vehicles: Floats, name: str) -> None:
 def _check_samples(samples: Floats) -> None:
     """A measured attitude is one turned by noise: a unit quaternion but for what is lost in large angles."""
     _check_finite("samples", samples)
-    _check_attitudes("samples", samples[..., ATTITUDE : ATTITUDE + 4], 0.5)
+    _check_attitudes("samples", samples[..., slices(Measured)["q"]], 0.5)
 
 
 def _check_followers(followers: Floats) -> None:
     _check_finite("followers", followers)
-    for row in (HEADING, ESTIMATE):
-        square = np.square(followers[..., row : row + 2]).sum(axis=-1)
+    where = slices(Follower)
+    for name in ("heading", "estimate"):
+        square = np.square(followers[..., where[name]]).sum(axis=-1)
         bad = np.abs(square - 1.0) > 1e-3
         _refuse_where(bad, "followers (squared norm of a heading)", square, "1: unit vectors")
-    previous = followers[..., PREVIOUS : PREVIOUS + 4]
+    previous = followers[..., where["previous"]]
     _refuse_where(np.abs(previous) > 1.0, "followers (previous action)", previous, "-1 to 1")
 
 

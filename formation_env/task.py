@@ -1,23 +1,29 @@
 """What a follower sees, what it is paid for, and when an episode has failed.
 
-`Observation` is the layout: its fields, in order, are the entries of a follower's row, followed by
-`neighbours` times a `Neighbour`. `Layout` turns rows into names and back.
+`Observation` is the layout: its fields, in order, are the entries of a follower's row, followed by those
+that its action level adds and by `neighbours` times a `Neighbour`. `Layout` turns rows into names and back.
 """
 
 from __future__ import annotations
 
 from math import inf
-from typing import Any, NamedTuple, final
+from typing import Annotated, Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from formation_env._jit import device
 from formation_env.checks import refuse
+from formation_env.levels import LEVELS
+from formation_env.records import Quantity, fields, notes, size
 from formation_env.sensors import Measured
 from formation_env.slots import in_frame
-from formation_env.so3 import Rotation, Vector, dot, rotation, sub
-from formation_env.world import REFERENCE, Action, Guide
+from formation_env.so3 import ZERO, Rotation, Vector, dot, pick_vector, rotation, sub
+from formation_env.world import ANYWHERE as ANYWHERE  # as `task.ANYWHERE` beside the entries
+from formation_env.world import NEAR as NEAR
+from formation_env.world import RATE_BOUND as RATE_BOUND
+from formation_env.world import UNIT as UNIT
+from formation_env.world import Action
 
 # How a follower's episode ended. LEADER: the leader crashed, for which no follower pays.
 NO_FAILURE, COLLISION, IMPACT, LOST, LEADER = 0, 1, 2, 3, 4
@@ -25,28 +31,48 @@ FAILURES = ("none", "collision", "impact", "lost", "leader")
 
 
 class Observation(NamedTuple):
-    """One follower's row, without its neighbours. {F} is the formation frame that it estimates."""
+    """One follower's row, without what its level adds and its neighbours.
 
-    slot_error: Vector  # m, {F}: where the leader is, minus where it should be
-    relative_velocity: Vector  # m/s, {F}: leader's minus own
-    leader_velocity: Vector  # m/s, {F}
-    leader_acceleration: Vector  # m/s^2, {F}
-    body_x: Vector  # r1 in {F}
-    body_z: Vector  # r3 in {F}
-    angular_velocity: Vector  # rad/s, body
-    heading: tuple[float, float]  # (cos, sin) of the estimated theta
-    offset: Vector  # d, m, {F}
-    previous_action: Action
-    started: float  # 1 once the trigger (40) has fired, else 0
-    position: Vector  # m, inertial
+    {F} is the formation frame that it estimates.
+    """
+
+    slot_error: Annotated[
+        Vector, Quantity("m", "{F}", "R^T(p_L - p) - d: (7) for the vehicle itself", NEAR)
+    ]
+    relative_velocity: Annotated[
+        Vector, Quantity("m/s", "{F}", "leader's velocity minus own", RATE_BOUND)
+    ]
+    leader_velocity: Annotated[Vector, Quantity("m/s", "{F}", "leader's velocity", RATE_BOUND)]
+    leader_acceleration: Annotated[
+        Vector, Quantity("m/s^2", "{F}", "leader's acceleration", RATE_BOUND)
+    ]
+    body_x: Annotated[Vector, Quantity("1", "{F}", "first body axis r1", UNIT)]
+    body_z: Annotated[
+        Vector, Quantity("1", "{F}", "third body axis r3; thrust acts along -r3", UNIT)
+    ]
+    angular_velocity: Annotated[Vector, Quantity("rad/s", "body", "omega", RATE_BOUND)]
+    heading: Annotated[
+        tuple[float, float],
+        Quantity("1", "inertial", "cos and sin of the estimated theta (23)", UNIT),
+    ]
+    offset: Annotated[Vector, Quantity("m", "{F}", "d, where the leader should be seen", NEAR)]
+    previous_action: Annotated[
+        Action, Quantity("1", "-", "last action as executed, padded with zeros", UNIT)
+    ]
+    started: Annotated[float, Quantity("1", "-", "1 once the trigger (40) has fired", UNIT)]
+    position: Annotated[
+        Vector, Quantity("m", "inertial", "own measured position, north-east-down", ANYWHERE)
+    ]
 
 
 class Neighbour(NamedTuple):
     """Another follower, nearest first; all zero where there is none."""
 
-    present: float  # 1 or 0
-    position: Vector  # m, {F}, relative to the observer
-    velocity: Vector  # m/s, {F}, relative to the observer
+    neighbour_present: Annotated[float, Quantity("1", "-", "1 if there is such a neighbour", UNIT)]
+    neighbour_position: Annotated[Vector, Quantity("m", "{F}", "its position minus own", NEAR)]
+    neighbour_velocity: Annotated[
+        Vector, Quantity("m/s", "{F}", "its velocity minus own", RATE_BOUND)
+    ]
 
 
 class Entry(NamedTuple):
@@ -60,36 +86,19 @@ class Entry(NamedTuple):
     meaning: str
 
 
-# Bounds that entries are clipped to: m, m; m/s, m/s^2 or rad/s; 1.
-NEAR, ANYWHERE, RATE_BOUND, UNIT = 1e3, 1e4, 100.0, 1.0
+def entries(kind: Any) -> tuple[Entry, ...]:
+    """The entries that a record adds to an observation row; none of None."""
+    if kind is None:
+        return ()
+    found = []
+    for name, note in notes(kind).items():
+        of = fields(kind)[name]
+        found.append(Entry(name, size(of), note.bound, note.unit, note.frame, note.meaning))
+    return tuple(found)
 
-ENTRIES = (
-    Entry("slot_error", 3, NEAR, "m", "{F}", "R^T(p_L - p) - d: (7) for the vehicle itself"),
-    Entry("relative_velocity", 3, RATE_BOUND, "m/s", "{F}", "leader's velocity minus own"),
-    Entry("leader_velocity", 3, RATE_BOUND, "m/s", "{F}", "leader's velocity"),
-    Entry("leader_acceleration", 3, RATE_BOUND, "m/s^2", "{F}", "leader's acceleration"),
-    Entry("body_x", 3, UNIT, "1", "{F}", "first body axis r1"),
-    Entry("body_z", 3, UNIT, "1", "{F}", "third body axis r3; thrust acts along -r3"),
-    Entry("angular_velocity", 3, RATE_BOUND, "rad/s", "body", "omega"),
-    Entry("heading", 2, UNIT, "1", "inertial", "cos and sin of the estimated theta (23)"),
-    Entry("offset", 3, NEAR, "m", "{F}", "d, where the leader should be seen"),
-    Entry("previous_action", 4, UNIT, "1", "-", "last action as executed, padded with zeros"),
-    Entry("started", 1, UNIT, "1", "-", "1 once the trigger (40) has fired"),
-    Entry("position", 3, ANYWHERE, "m", "inertial", "own measured position, north-east-down"),
-)
-REFERENCE_ENTRIES = (
-    Entry("guide_position", 3, NEAR, "m", "{F}", "virtual follower's position minus own"),
-    Entry("guide_velocity", 3, RATE_BOUND, "m/s", "{F}", "virtual follower's velocity minus own"),
-)
-NEIGHBOUR_ENTRIES = (
-    Entry("neighbour_present", 1, UNIT, "1", "-", "1 if there is such a neighbour"),
-    Entry("neighbour_position", 3, NEAR, "m", "{F}", "its position minus own"),
-    Entry("neighbour_velocity", 3, RATE_BOUND, "m/s", "{F}", "its velocity minus own"),
-)
 
-CORE = sum(entry.size for entry in ENTRIES)
-GUIDE = sum(entry.size for entry in REFERENCE_ENTRIES)
-NEIGHBOUR = sum(entry.size for entry in NEIGHBOUR_ENTRIES)
+ENTRIES = entries(Observation)
+NEIGHBOUR_ENTRIES = entries(Neighbour)
 
 
 class Rewards(NamedTuple):
@@ -111,12 +120,26 @@ class Limits(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """The reward's parts, signed and weighted; their sum is the reward."""
+    """The reward's parts, signed and weighted; their sum is the reward.
+
+    A field added here, and to what `reward` returns, is summed, stored and reported on all faces.
+    """
 
     formation: float
     effort: float
     smoothness: float
     failure: float
+
+
+class Outcome(NamedTuple):
+    """What a tick was for one follower: the columns of `arrays.Results.outputs`."""
+
+    reward: float  # of this tick, the sum of its terms
+    terms: Terms
+    slot: Vector  # m, inertial
+    slot_error: Vector  # m, inertial: slot minus true position
+    separation: float  # m, distance to the nearest other vehicle
+    failed: float  # an index into FAILURES
 
 
 @device
@@ -152,16 +175,21 @@ def observe(
     )
 
 
-@device
-def observe_neighbour(own: Measured, other: Measured, R: complex) -> Neighbour:
-    """Another follower as this one measures it."""
-    return Neighbour(1.0, in_frame(R, sub(other.p, own.p)), in_frame(R, sub(other.v, own.v)))
+class Passing(NamedTuple):
+    """What one follower measures of another."""
+
+    p: Vector  # m, inertial
+    v: Vector  # m/s, inertial
 
 
 @device
-def observe_guide(own: Measured, guide: Guide, R: complex) -> Guide:
-    """The virtual follower of the `reference` level, relative to the vehicle that flies it."""
-    return Guide(in_frame(R, sub(guide.p, own.p)), in_frame(R, sub(guide.v, own.v)))
+def observe_neighbour(own: Passing, other: Passing, R: complex, present: bool) -> Neighbour:
+    """Another follower as this one measures it, in the frame of its estimated heading; zero without one."""
+    return Neighbour(
+        1.0 if present else 0.0,
+        pick_vector(present, in_frame(R, sub(other.p, own.p)), ZERO),
+        pick_vector(present, in_frame(R, sub(other.v, own.v)), ZERO),
+    )
 
 
 @device
@@ -235,16 +263,15 @@ class Layout:
     version = 1
 
     def __init__(self, level: int, neighbours: int) -> None:
-        guides = REFERENCE_ENTRIES if level == REFERENCE else ()
         self.neighbours = neighbours
-        self.entries: tuple[Entry, ...] = (*ENTRIES, *guides)
+        self.entries: tuple[Entry, ...] = (*ENTRIES, *entries(LEVELS[level].view))
         self.slices: dict[str, slice] = {}
         start = 0
         for entry in self.entries:
             self.slices[entry.name] = slice(start, start + entry.size)
             start += entry.size
         self.first_neighbour = start
-        self.size = start + neighbours * NEIGHBOUR
+        self.size = start + neighbours * size(Neighbour)
         bounds = [np.full(entry.size, entry.bound) for entry in self.entries]
         each = [np.full(entry.size, entry.bound) for entry in NEIGHBOUR_ENTRIES]
         self.bound: NDArray[np.float32] = np.concatenate(bounds + each * neighbours).astype(
@@ -259,7 +286,7 @@ class Layout:
             )
         named = {name: rows[..., where] for name, where in self.slices.items()}
         tail = rows[..., self.first_neighbour :]
-        tail = tail.reshape(*rows.shape[:-1], self.neighbours, NEIGHBOUR)
+        tail = tail.reshape(*rows.shape[:-1], self.neighbours, size(Neighbour))
         start = 0
         for entry in NEIGHBOUR_ENTRIES:
             named[entry.name] = tail[..., start : start + entry.size]
@@ -275,5 +302,5 @@ class Layout:
         leading = named["slot_error"].shape[:-1]
         parts = [np.asarray(named[entry.name]) for entry in self.entries]
         tail = [np.asarray(named[entry.name]) for entry in NEIGHBOUR_ENTRIES]
-        neighbours = np.concatenate(tail, axis=-1).reshape(*leading, self.neighbours * NEIGHBOUR)
+        neighbours = np.concatenate(tail, axis=-1).reshape(*leading, self.neighbours * size(Neighbour))
         return np.concatenate([*parts, neighbours], axis=-1).astype(np.float32)

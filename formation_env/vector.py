@@ -18,7 +18,7 @@ from formation_env.arguments import Fixed, check_options, configured, limit, who
 from formation_env.checks import integer, refuse
 from formation_env.config import FormationConfig
 from formation_env.kernels import STEP, STEP_AND_RESET, STEP_OR_RESET
-from formation_env.memory import Results
+from formation_env.arrays import Results
 from formation_env.simulation import Simulation, Snapshot, seeded_key
 
 Array = NDArray[Any]

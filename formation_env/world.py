@@ -1,16 +1,7 @@
-"""One world, one tick: the paper's block diagram as code.
+"""One vehicle at one instant: the constants of a world, and what joins the laws to each other.
 
-    leader's reference --> tracker --> actuators --> leader's body --> sensors --+
-                                                                                 |
-    +----------------------------------------------------------------------------+
-    |  what the followers know of the leader
-    v
-    action --> (virtual follower --> tracker) --> actuators --> follower's body --> sensors
-                                                                                 |
-    slots: where the followers should be, from the leader's true motion <--------+
-
-Everything here concerns one vehicle at one instant and touches no memory; `simulation` holds the
-arrays and the loops, `task` says what a policy sees and what it is paid for.
+Nothing here touches memory; `tick` says in which order things happen, `task` what a policy is shown and
+what it is paid for.
 """
 
 from __future__ import annotations
@@ -18,18 +9,19 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from formation_env._jit import device
+from formation_env.disturbances import Gusts, over_table
 from formation_env.quadrotor import (
     GRAVITY,
     MOMENT,
     Airframe,
     Body,
     Wrench,
-    acceleration,
     moment,
+    saturate,
 )
-from formation_env.rng import GUST, START, normals, uniforms
+from formation_env.rng import START, normals, uniforms
 from formation_env.sensors import Measured, Noise
-from formation_env.slots import Slot, out_of_frame
+from formation_env.slots import Slot
 from formation_env.so3 import (
     Vector,
     add_scaled,
@@ -45,11 +37,12 @@ from formation_env.trajectories import Reference
 
 Action = tuple[float, float, float, float]
 
-WRENCH, RATE, REFERENCE = 0, 1, 2  # what a policy commands
-
 # Most ticks in an episode: a float counts them exactly, and a random draw's counter holds the number of the
 # sample with up to 1,000 substeps, and measurements, in each. At 50 Hz it is 700 years.
 MAX_TICKS = 2**40
+
+# Bounds of what is observed: m, m; m/s, m/s^2 or rad/s; 1.
+NEAR, ANYWHERE, RATE_BOUND, UNIT = 1e3, 1e4, 100.0, 1.0
 
 
 class Clock(NamedTuple):
@@ -76,20 +69,6 @@ class Reach(NamedTuple):
     acceleration: Vector  # m/s^2 at +1, formation frame
 
 
-class Gusts(NamedTuple):
-    """A random acceleration from outside: a first-order Gauss-Markov process per vehicle."""
-
-    keep: float  # share kept from one tick to the next, exp(-period / correlation time)
-    kick: float  # m/s^2, standard deviation of what is added
-
-
-class Guide(NamedTuple):
-    """The virtual follower of the `reference` action level: a point that the action accelerates."""
-
-    p: Vector  # m, inertial
-    v: Vector  # m/s, inertial
-
-
 class World(NamedTuple):
     """Everything that is constant during an episode, for the kernels."""
 
@@ -102,7 +81,7 @@ class World(NamedTuple):
     gusts: Gusts
     leader_actuation: int
     follower_actuation: int
-    level: int  # WRENCH, RATE or REFERENCE
+    level: int  # an index into `levels.LEVELS`
     trigger: float  # m, e_max of (40)
     on_ground: int  # whether an episode starts on the floor
     start_offset: float  # m, radius of the ball a follower starts in, around its slot
@@ -126,53 +105,9 @@ def track(m: Motion, ref: Reference, actuation: int, world: World) -> Wrench:
 
 
 @device
-def guided(action: Action, guide: Guide, R: complex, world: World) -> Reference:
-    """The trajectory of a virtual follower that the action accelerates; no jerk, no snap.
-
-    `R` is the heading that the follower estimates: the action is in its formation frame.
-    """
-    s = world.reach.acceleration
-    a = out_of_frame(R, (s[0] * action[0], s[1] * action[1], s[2] * action[2]))
-    return Reference(guide.p, guide.v, a, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-
-
-@device
-def driven(action: Action, world: World) -> Wrench:
-    """What an action in [-1, 1] asks of the actuators at the levels WRENCH and RATE."""
-    r = world.reach
-    turn = (r.turn[0] * action[1], r.turn[1] * action[2], r.turn[2] * action[3])
-    return Wrench(0.5 * r.thrust * (action[0] + 1.0), turn)
-
-
-@device
-def guide_on(guide: Guide, a: Vector, h: float) -> Guide:
-    """A virtual follower `h` seconds later at constant acceleration `a`, exactly."""
-    p = add_scaled(add_scaled(guide.p, h, guide.v), 0.5 * h * h, a)
-    return Guide(p, add_scaled(guide.v, h, a))
-
-
-@device
-def gust(before: Vector, gusts: Gusts, key: int, who: int, tick: int) -> Vector:
-    """The next sample of the gust on one vehicle, m/s^2, held during a tick."""
-    if gusts.kick == 0.0:
-        return before
-    n = normals(key, GUST, who, tick, 0)
-    return (
-        gusts.keep * before[0] + gusts.kick * n[0],
-        gusts.keep * before[1] + gusts.kick * n[1],
-        gusts.keep * before[2] + gusts.kick * n[2],
-    )
-
-
-@device
-def truth(
-    body: Body, applied: Wrench, push: Vector, touching: bool, airframe: Airframe
-) -> Measured:
-    """What perfect sensors would read. The acceleration is the one under the thrust now applied."""
-    a = (0.0, 0.0, 0.0)
-    if not touching:
-        a = acceleration(body.q, applied.thrust, push, airframe)
-    return Measured(body.p, body.v, a, body.q, body.w)
+def follow(ref: Reference, own: Measured, world: World, actuation: int) -> Wrench:
+    """What the actuators of a vehicle do that the tracker flies along a reference, from its measurement."""
+    return saturate(track(motion(own), ref, actuation, world), actuation, world.airframe)
 
 
 @device
@@ -212,3 +147,17 @@ def within(p: Vector, target: Vector, radius: float) -> bool:
     """One term of the trigger (40): `|e1| < e_max`."""
     e = sub(p, target)
     return dot(e, e) < radius * radius
+
+
+# What disturbs a vehicle: whether anything does, the states of all disturbances a tick later, their push.
+disturbed = over_table(World, "disturbed", "line", "acts(parameters)", "either")
+next_states = over_table(
+    World,
+    "next_states",
+    "states, body, line, key, who, tick",
+    "advance(state, body, parameters, key, who, tick)",
+    "States",
+)
+pushed = over_table(
+    World, "pushed", "states, body, line", "push(state, body, parameters)", "add"
+)

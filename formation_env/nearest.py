@@ -1,55 +1,45 @@
 """Nearest neighbours among many points: a sweep, for formations too large to try every pair.
 
 Points are put roughly in order along the axis on which they are spread most. A block of them at a time
-then meets those further and further along to both sides, until along that axis alone nobody left can be
-nearer than whom each has found. The result is exactly that of trying every pair: the same points in
-the same order, by squared distance as computed and, where that is equal, by number.
+is compared with those further and further along to both sides, until along that axis alone no point left
+can be nearer than the ones found. The result is exactly that of trying every pair: the same points in the
+same order, by squared distance as computed and, where that is equal, by number.
 
-Loops over a block are the ones that the compiler vectorises; the rules are those of `lanes`. So points
-are not tried one by one until one need not go on: a branch that goes this way for one point and that
-way for the next costs more than the few distances it saves.
+Loops over a block are the ones that the compiler vectorises; the rules are those of `tiles`. So the search
+does not stop point by point: a branch that goes this way for one point and that way for the next costs more
+than the few distances it saves.
+
+Arrays, for `m` points and the `K` nearest of each: `cells` `(m,)`, which stretch of the axis each is in;
+`ends` `(m + 1,)`, where in the order those of a stretch lie; `queue` `(QUEUE_ROWS, m + 2 MARGIN)`, the points
+in order; `seekers` `((SEEKER_ROWS + 2 max(K, 2)) BLOCK,)`, the block whose neighbours are sought and, by rank, the squared
+distances and numbers found; `meeting` `(MEETING_ROWS BLOCK,)`, the points they are compared with.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from formation_env._jit import device, loop
+from formation_env.shuffles import carve
 
 Floats = NDArray[np.float64]
-Counts = NDArray[np.int64]
 Vector = tuple[float, float, float]
 
-BLOCK = 16  # points that look for their neighbours side by side
-STEPS = 4  # others each of them meets at a time
-MARGIN = BLOCK + STEPS  # places before and behind the queue where nobody stands
+BLOCK = 16  # points whose neighbours are sought side by side
+STEPS = 4  # others each of them is compared with at a time
+MARGIN = BLOCK + STEPS  # empty places before and behind the points in order
 
-# Rows of Crowd.queue: after x, y and z of each place.
+# Rows of `queue`: after x, y and z of each place.
 _NUMBER, _BEHIND, _AHEAD, QUEUE_ROWS = 3, 4, 5, 6
-# Rows of Crowd.seekers: x, y, z, where along the axis, and pairs of squared distance and number.
+# Rows of `seekers`: x, y, z, where along the axis, and pairs of squared distance and number.
 _ALONG, SEEKER_ROWS = 3, 4
 _NEAREST, _SECOND = 4, 6
-MET_ROWS = 2 * STEPS
+MEETING_ROWS = 2 * STEPS
 
 _BLOCK = np.uint64(BLOCK)
-
-
-class Crowd(NamedTuple):
-    """Room to line up as many as m points and to find the K nearest of each."""
-
-    cells: Counts  # (m,): which stretch of the axis each is in
-    ends: Counts  # (m + 1,): where in the queue those of a stretch stand
-    queue: (
-        Floats  # (QUEUE_ROWS, m + 2 MARGIN): places with position, number and bounds to both sides
-    )
-    seekers: (
-        Floats  # ((SEEKER_ROWS + 2 max(K, 2)) BLOCK,): who is looking, and whom they have found
-    )
-    met: Floats  # (MET_ROWS BLOCK,): squared distance and number of each they meet
-    found: Floats  # (max(K, 2), 2 BLOCK): the latter by rank, squared distances and numbers
 
 
 @device
@@ -89,8 +79,8 @@ def _spread(points: Any, m: int) -> tuple[int, float, float]:
 
 
 @device
-def _put_aside(queue: Floats, place: int) -> None:
-    """Nobody stands at this place, infinitely far before or behind all."""
+def _mark_empty(queue: Floats, place: int) -> None:
+    """Mark a place as empty: infinitely far before or behind all."""
     for row in range(3):
         queue[row, place] = np.inf
     queue[_NUMBER, place] = -1.0
@@ -98,12 +88,11 @@ def _put_aside(queue: Floats, place: int) -> None:
 
 
 @device
-def line_up(crowd: Crowd, points: Any, m: int) -> int:
-    """Put the first `m` of `points`, rows that begin with x, y and z, in line; returns the axis.
+def put_in_order(cells: Any, ends: Any, queue: Any, points: Any, m: int) -> int:
+    """Put the first `m` of `points`, rows that begin with x, y and z, in order; returns the axis.
 
     The order is that of equal stretches of the axis, and within one that of the numbers.
     """
-    cells, ends, queue = crowd.cells, crowd.ends, crowd.queue
     axis, low, high = _spread(points, m)
     last = float(m - 1)
     scale = m / (high - low) if high > low else 0.0
@@ -124,8 +113,8 @@ def line_up(crowd: Crowd, points: Any, m: int) -> int:
             queue[k, place] = points[i, k]
         queue[_NUMBER, place] = float(i)
     for k in range(MARGIN):
-        _put_aside(queue, k)
-        _put_aside(queue, m + MARGIN + k)
+        _mark_empty(queue, k)
+        _mark_empty(queue, m + MARGIN + k)
     _bound(queue, axis, m)
     return axis
 
@@ -154,7 +143,7 @@ def _at(row: int, k: Any) -> Any:
 
 @loop
 def _begin(queue: Floats, axis: int, here: int, seekers: Any, many: int) -> None:
-    """Those from place `here` on begin to look."""
+    """The points from place `here` on become those whose neighbours are sought."""
     for k in range(np.uint64(many)):
         place = np.uint64(here) + k
         seekers[_at(0, k)], seekers[_at(1, k)] = queue[0, place], queue[1, place]
@@ -162,8 +151,8 @@ def _begin(queue: Floats, axis: int, here: int, seekers: Any, many: int) -> None
 
 
 @loop
-def _forget(seekers: Any, rank: Any, many: int) -> None:
-    """Nobody holds this rank yet; nor ever, nearer than -1, with who has left what can be computed."""
+def _clear_rank(seekers: Any, rank: Any, many: int) -> None:
+    """Nothing found of this rank: infinitely far, or, for a point that is not finite, never (-1)."""
     for k in range(np.uint64(many)):
         x, y, z = seekers[_at(0, k)], seekers[_at(1, k)], seekers[_at(2, k)]
         sound = (abs(x) < np.inf) & (abs(y) < np.inf) & (abs(z) < np.inf)
@@ -172,7 +161,7 @@ def _forget(seekers: Any, rank: Any, many: int) -> None:
 
 @device
 def _before(r: float, j: float, held: float, holder: float) -> Any:
-    """Whether number `j` at squared distance `r` comes before who is held."""
+    """Whether point `j` at squared distance `r` comes before the one held, number `holder`."""
     return (r < held) | ((r == held) & (j < holder))
 
 
@@ -183,21 +172,21 @@ def _square(queue: Floats, place: Any, x: float, y: float, z: float) -> float:
 
 
 @device
-def _open(gap: float, held: float) -> Any:
-    """Whether somebody at least `gap` further along might be as near as who is held.
+def _may_be_nearer(gap: float, held: float) -> Any:
+    """Whether a point at least `gap` further along might be as near as the one held.
 
     A sum of squares is not rounded below one of them.
     """
     return (held >= 0.0) & ((gap <= 0.0) | (gap * gap <= held))
 
 
-# The commonest two searches keep what they find in registers, and in one array with who is looking:
+# The commonest two searches keep what they find in registers, and in one array with the seekers:
 # with two, the compiler takes half a block at a time out of the vector loop.
 
 
 @loop
 def _approach(queue: Floats, there: int, sign: float, seekers: Any, many: int) -> int:
-    """Keep the least squared distance to the next few from place `there` on, and how many go on."""
+    """Keep the least squared distance to the next few from place `there` on, and how many are not done."""
     count, side, after = 0, _AHEAD, there + STEPS
     if sign < 0.0:
         side, after = _BEHIND, there - 1
@@ -210,7 +199,7 @@ def _approach(queue: Floats, there: int, sign: float, seekers: Any, many: int) -
             least = r if r < least else least
         seekers[_at(_NEAREST, k)] = least
         gap = sign * (queue[side, np.uint64(after) + k] - seekers[_at(_ALONG, k)])
-        count += _open(gap, least)
+        count += _may_be_nearer(gap, least)
     return count
 
 
@@ -237,8 +226,8 @@ def _choose_two(queue: Floats, there: int, seekers: Any, many: int) -> None:
 
 
 @loop
-def _meet(queue: Floats, there: int, seekers: Any, met: Any, rank: Any, many: int) -> int:
-    """Squared distances and numbers of the next few; whether one is as near as who holds the rank."""
+def _compare(queue: Floats, there: int, seekers: Any, meeting: Any, rank: Any, many: int) -> int:
+    """Squared distances and numbers of the next few; how many are as near as the one held."""
     near = 0
     for k in range(np.uint64(many)):
         x, y, z = seekers[_at(0, k)], seekers[_at(1, k)], seekers[_at(2, k)]
@@ -246,88 +235,97 @@ def _meet(queue: Floats, there: int, seekers: Any, met: Any, rank: Any, many: in
         least = np.inf
         for s in range(STEPS):
             r = _square(queue, place + np.uint64(s), x, y, z)
-            met[_at(2 * s, k)] = r
-            met[_at(2 * s + 1, k)] = queue[_NUMBER, place + np.uint64(s)]
+            meeting[_at(2 * s, k)] = r
+            meeting[_at(2 * s + 1, k)] = queue[_NUMBER, place + np.uint64(s)]
             least = r if r < least else least
         near += least <= rank[k]
     return near
 
 
 @loop
-def _insert(met: Any, rank: Any, many: int) -> None:
-    """Let those met take the rank where they are nearer; who held it is met instead."""
+def _insert(meeting: Any, rank: Any, many: int) -> None:
+    """Exchange the points compared with the one of this rank where they come before it."""
     for k in range(np.uint64(many)):
         held, holder = rank[k], rank[_at(1, k)]
         for s in range(STEPS):
-            r, j = met[_at(2 * s, k)], met[_at(2 * s + 1, k)]
+            r, j = meeting[_at(2 * s, k)], meeting[_at(2 * s + 1, k)]
             on = _before(r, j, held, holder)
-            met[_at(2 * s, k)] = held if on else r
-            met[_at(2 * s + 1, k)] = holder if on else j
+            meeting[_at(2 * s, k)] = held if on else r
+            meeting[_at(2 * s + 1, k)] = holder if on else j
             held, holder = r if on else held, j if on else holder
         rank[k], rank[_at(1, k)] = held, holder
 
 
 @loop
-def _wanting(queue: Floats, there: int, sign: float, seekers: Any, rank: Any, many: int) -> int:
-    """How many go on after the next few from place `there` on."""
+def _unfinished(queue: Floats, there: int, sign: float, seekers: Any, rank: Any, many: int) -> int:
+    """How many are not done after the next few from place `there` on."""
     count, side, after = 0, _AHEAD, there + STEPS
     if sign < 0.0:
         side, after = _BEHIND, there - 1
     for k in range(np.uint64(many)):
         gap = sign * (queue[side, np.uint64(after) + k] - seekers[_at(_ALONG, k)])
-        count += _open(gap, rank[k])
+        count += _may_be_nearer(gap, rank[k])
     return count
 
 
 @device
-def _look_at(crowd: Crowd, there: int, sign: float, K: int) -> int:
-    """Those of the block meet the next few from place `there` on; how many have to go on."""
-    queue, seekers, met, found = crowd.queue, crowd.seekers, crowd.met, crowd.found
-    if K == 0:
-        return _approach(queue, there, sign, seekers, BLOCK)
-    if K == 2:
-        _choose_two(queue, there, seekers, BLOCK)
-    elif _meet(queue, there, seekers, met, found[K - 1], BLOCK) > 0:
-        for rank in range(K):
-            _insert(met, found[rank], BLOCK)
-    return _wanting(queue, there, sign, seekers, found[K - 1], BLOCK)
+def _rank(seekers: Any, rank: int) -> Any:
+    """Squared distances and numbers found of one rank, for the points of the block."""
+    return carve(seekers, (SEEKER_ROWS + 2 * rank) * BLOCK, (2 * BLOCK,))
 
 
 @device
-def find_nearest(crowd: Crowd, axis: int, m: int, first: int, K: int) -> None:
-    """The `K` nearest of those at the `BLOCK` places of the queue from `first` on, into `found`.
+def _compare_with(queue: Any, seekers: Any, meeting: Any, there: int, sign: float, K: int) -> int:
+    """Compare the block with the next few from place `there` on; how many are not done."""
+    if K == 0:
+        return _approach(queue, there, sign, seekers, BLOCK)
+    last = _rank(seekers, K - 1)
+    if K == 2:
+        _choose_two(queue, there, seekers, BLOCK)
+    elif _compare(queue, there, seekers, meeting, last, BLOCK) > 0:
+        for rank in range(K):
+            _insert(meeting, _rank(seekers, rank), BLOCK)
+    return _unfinished(queue, there, sign, seekers, last, BLOCK)
 
-    Of the `m` lined up along `axis`. With `K = 0` the squared distance to the nearest and no number.
-    Where there is nobody, the number is -1.
+
+@device
+def find_nearest(
+    queue: Any, seekers: Any, meeting: Any, axis: int, m: int, first: int, K: int
+) -> None:
+    """The `K` nearest of those at the `BLOCK` places from `first` on, into `seekers`.
+
+    Of the `m` points put in order along `axis`. With `K = 0` the squared distance to the nearest and no
+    number. Where there is none, the number is -1.
     """
     here, d = first + MARGIN, 1
-    _begin(crowd.queue, axis, here, crowd.seekers, BLOCK)
+    _begin(queue, axis, here, seekers, BLOCK)
     for rank in range(max(K, 1)):
-        _forget(crowd.seekers, crowd.found[rank], BLOCK)
+        _clear_rank(seekers, _rank(seekers, rank), BLOCK)
     up = down = True
     while up or down:
         if up:
-            up = _look_at(crowd, here + d, 1.0, K) > 0 and first + d + STEPS < m
+            more = _compare_with(queue, seekers, meeting, here + d, 1.0, K) > 0
+            up = more and first + d + STEPS < m
         if down:
-            more = _look_at(crowd, here - d - STEPS + 1, -1.0, K) > 0
+            more = _compare_with(queue, seekers, meeting, here - d - STEPS + 1, -1.0, K) > 0
             down = more and first + BLOCK > d + STEPS
         d += STEPS
 
 
 @device
-def number_at(crowd: Crowd, place: int) -> int:
-    """The number of the point at a place of the queue."""
-    return int(crowd.queue[_NUMBER, MARGIN + place])
+def number_at(queue: Any, place: int) -> int:
+    """The number of the point at a place of the order."""
+    return int(queue[_NUMBER, MARGIN + place])
 
 
 @device
-def found_square(crowd: Crowd, k: int, rank: int) -> float:
+def found_square(seekers: Any, k: int, rank: int) -> float:
     """Squared distance from the `k`-th of the block to its nearest of that rank; infinity if none."""
-    r = crowd.found[rank, k]
+    r = _rank(seekers, rank)[k]
     return float(r) if r >= 0.0 else np.inf
 
 
 @device
-def found_number(crowd: Crowd, k: int, rank: int) -> float:
+def found_number(seekers: Any, k: int, rank: int) -> float:
     """The number of that nearest, or -1 if there is none."""
-    return float(crowd.found[rank, BLOCK + k])
+    return float(_rank(seekers, rank)[BLOCK + k])

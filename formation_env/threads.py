@@ -21,11 +21,13 @@ two miss each other the caller flies that step alone.
 from __future__ import annotations
 
 import atexit
+import ctypes
 import os
 import threading
 import weakref
 from collections.abc import Callable, Sequence
 from functools import cache
+from math import prod
 from time import perf_counter
 from typing import Any, final
 
@@ -37,7 +39,8 @@ from numba.extending import intrinsic
 from numba.np import arrayobj
 from numpy.typing import NDArray
 
-from formation_env._jit import device, kernel
+from formation_env._jit import builtin, device, kernel
+from formation_env.shuffles import lengths_of, view_of
 
 ROUND = 1e-6  # s: of waiting on the core, then others may have it
 PATIENCE = 100  # rounds: about the cost of falling asleep and waking
@@ -134,39 +137,31 @@ def give_way(typing: Any) -> Any:
     return types.void(), build
 
 
-@intrinsic  # type: ignore[untyped-decorator]
-def array_at(typing: Any, address: Any, shape: Any, kind: Any) -> Any:
-    """The C-contiguous array of `kind` that somebody else holds there."""
-
-    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        word = context.get_value_type(types.intp)
-        number = context.get_data_type(view.dtype)
-        block = arrayobj.make_array(view)(context, builder)
-        lengths = [
-            context.cast(builder, builder.extract_value(arguments[1], k), of, types.intp)
-            for k, of in enumerate(shape)
-        ]
-        size = word(context.get_abi_sizeof(number))
-        strides = [size]
-        for length in lengths[:0:-1]:
-            strides.insert(0, builder.mul(strides[0], length))
-        data = builder.inttoptr(arguments[0], number.as_pointer())
-        arrayobj.populate_array(block, data, lengths, strides, size, None)
-        return block._getvalue()
-
-    view = types.Array(kind.dtype, len(shape), "C")
-    return view(types.int64, shape, kind), build
+def _build_array_at(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    view = signature.return_type
+    address = context.cast(builder, arguments[0], signature.args[0], types.int64)
+    data = builder.inttoptr(address, context.get_data_type(view.dtype).as_pointer())
+    lengths = lengths_of(context, builder, signature.args[1], arguments[1])
+    return view_of(context, builder, view, data, lengths)
 
 
-@intrinsic  # type: ignore[untyped-decorator]
-def address_of(typing: Any, block: Any) -> Any:
+@builtin(lambda address, shape, kind: types.Array(kind.dtype, len(shape), "C"), _build_array_at)
+def array_at(address: int, shape: tuple[int, ...], kind: Any) -> Any:
+    """The C-contiguous array of `kind` that begins at an address and that the caller keeps alive."""
+    count = prod(shape) * np.dtype(kind).itemsize
+    held = (ctypes.c_char * count).from_address(int(address)) if count else b""
+    return np.frombuffer(held, dtype=kind).reshape(shape)
+
+
+def _build_address_of(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    data = arrayobj.make_array(signature.args[0])(context, builder, arguments[0]).data
+    return builder.ptrtoint(data, ir.IntType(64))
+
+
+@builtin(lambda block: types.int64, _build_address_of)
+def address_of(block: Any) -> int:
     """Where the numbers of an array begin."""
-
-    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        data = arrayobj.make_array(block)(context, builder, arguments[0]).data
-        return builder.ptrtoint(data, ir.IntType(64))
-
-    return types.int64(block), build
+    return int(block.ctypes.data)
 
 
 # -- the desk, within the kernel ------------------------------------------------------------------
@@ -179,7 +174,7 @@ def _home(desk: int, member: int) -> int:
 
 
 @device
-def post(desk: int, call: tuple[int, ...]) -> int:
+def post(desk: int, call: Any) -> int:
     """Begin a call: eight words for the workers, and all tiles to be had. Returns its ticket.
 
     To be called when all tiles of the call before are done.
