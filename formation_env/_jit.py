@@ -21,6 +21,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
+from llvmlite.binding import Linkage
 from numba import njit
 from numba.core import event, types
 from numba.core.codegen import JITCodeLibrary
@@ -62,6 +63,14 @@ class _Linked(JITCodeLibrary):  # type: ignore[misc]
     """Code that kernels link. No machine code is made of it: that is made once, of the whole kernel."""
 
     optimised = True
+    attributes: tuple[str, ...] = ()  # of the function
+
+    def finalize(self) -> None:
+        super().finalize()
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.linkage == Linkage.external:
+                for attribute in self.attributes:
+                    function.add_function_attribute(attribute)
 
     @property
     def codegen(self) -> Any:
@@ -79,10 +88,22 @@ class _Linked(JITCodeLibrary):  # type: ignore[misc]
         return 0
 
 
+class _LinkedLoop(_Linked):
+    """The same, called and not inlined: one piece of machine code for all callers."""
+
+    attributes = ("noinline",)
+
+
 class _LinkedLate(_Linked):
     """The same, optimised with the kernel alone."""
 
     optimised = False
+
+
+class _LinkedCold(_LinkedLate):
+    """The same, called and not inlined, and optimised for size."""
+
+    attributes = ("noinline", "optsize", "cold")
 
 
 class _LinkedCompiler(Compiler):  # type: ignore[misc]
@@ -97,8 +118,16 @@ class _LinkedCompiler(Compiler):  # type: ignore[misc]
         return pipelines
 
 
+class _LoopCompiler(_LinkedCompiler):
+    library = _LinkedLoop
+
+
 class _LateCompiler(_LinkedCompiler):
     library = _LinkedLate
+
+
+class _ColdCompiler(_LinkedCompiler):
+    library = _LinkedCold
 
 
 def _apart(flags: Any) -> Any:
@@ -108,14 +137,19 @@ def _apart(flags: Any) -> Any:
 
 
 def _called_by_kernels(
-    function: F, apart: bool = False, compiler: Any = _LinkedCompiler, **options: Any
+    function: F,
+    apart: bool = False,
+    compiler: Any = _LinkedCompiler,
+    literal: bool = False,
+    **options: Any,
 ) -> F:
     """Compile `function` for kernels and, apart from that, for calls from Python.
 
     Numba compiles two wrappers along with every function, for Python and for C, and makes machine code of
     each, which takes as long as all the rest. Kernels need neither, so what they link is another
     compilation of the function; the one with them is made when a test or the debugger calls the function
-    from Python.
+    from Python. With `literal` a whole number or truth value that stands in a call is compiled for by
+    itself, so that branches on it are gone before anything is optimised.
     """
     options = {"fastmath": FASTMATH, "error_model": "numpy", **options}
     called: Any = njit(**options)(function)
@@ -126,13 +160,17 @@ def _called_by_kernels(
             # A flag of Numba's compiler that `njit` does not hand on.
             one._compiler._customize_flags = _apart
         called.get_call_template = linked.get_call_template
+        if not literal:
+            called.get_call_template = lambda args, kws: linked.get_call_template(
+                tuple(types.unliteral(one) for one in args), kws
+            )
         called.get_overload = linked.get_overload
     return called  # type: ignore[no-any-return]
 
 
-def device(function: F) -> F:
-    """Compile `function` to be inlined into the kernels that call it."""
-    return _called_by_kernels(function, forceinline=True)
+def device(function: F, literal: bool = True) -> F:
+    """Compile `function` to be inlined into the kernels that call it; for `literal` see above."""
+    return _called_by_kernels(function, literal=literal, forceinline=True)
 
 
 def step(function: F) -> F:
@@ -142,6 +180,11 @@ def step(function: F) -> F:
     depend on where it is inlined.
     """
     return _called_by_kernels(function, compiler=_LateCompiler, forceinline=True)
+
+
+def cold(function: F) -> F:
+    """Compile `function` as a part of the loop over tiles that is seldom gone through: called, not inlined."""
+    return _called_by_kernels(function, compiler=_ColdCompiler, forceinline=False)
 
 
 def builtin(result: Callable[..., Any], build: Callable[..., Any]) -> Callable[[F], F]:
@@ -180,7 +223,7 @@ def loop(function: F) -> F:
     it writes in an array must not be read through another one: else it would compare all addresses in
     each call, and keep a scalar loop beside the vector one.
     """
-    return _called_by_kernels(function, apart=True, nogil=True)
+    return _called_by_kernels(function, apart=True, compiler=_LoopCompiler, nogil=True, forceinline=False)
 
 
 def kernel(function: F) -> F:

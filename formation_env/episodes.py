@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from formation_env import arrays
-from formation_env._jit import step
+from formation_env._jit import cold, step
 from formation_env.arrays import Counters
 from formation_env.levels import Follower, begin_level
 from formation_env.quadrotor import Body
@@ -24,7 +24,7 @@ _store_measured, _store_follower = storer(Measured), storer(Follower)
 _STILL = (0.0, 0.0, 0.0, 0.0)
 
 
-@step
+@cold
 def place(memory: Any, w: int, i: int, body: Body, a: Vector, key: Any) -> None:
     """Put a vehicle with acceleration `a` into world `w`: undisturbed, its sensors settled."""
     t, lane, world = w // LANES, np.uint64(w % LANES), arrays.world(memory)
@@ -50,7 +50,7 @@ def fill_rows(x: Any, lane: int) -> None:
             x[row + other] = x[row + lane]
 
 
-@step
+@cold
 def fill_lanes(memory: Any, w: int) -> None:
     """Let the lanes behind the last world `w` start as it does: they are computed all the same."""
     t, lane = w // LANES, w % LANES
@@ -62,7 +62,7 @@ def fill_lanes(memory: Any, w: int) -> None:
         fill_rows(arrays.follower(memory, t, i), lane)
 
 
-@step
+@cold
 def start_episode(memory: Any, room: Any, w: int) -> None:
     """Start the next episode of world `w`."""
     t, lane, at_lane = w // LANES, w % LANES, np.uint64(w % LANES)

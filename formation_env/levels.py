@@ -54,6 +54,12 @@ class Guided(NamedTuple):
     estimate: complex
 
 
+class Estimate(NamedTuple):
+    """The frame that a follower is shown things in."""
+
+    estimate: complex
+
+
 class GuideView(NamedTuple):
     """What a policy sees of a `Guide`."""
 
@@ -117,11 +123,10 @@ def move_guide(
 
 
 @device
-def view_guide(x: Guided, own: Measured) -> GuideView:
+def view_guide(frame: Estimate, guide: Guide, own: Measured) -> GuideView:
     """The virtual follower relative to the vehicle that flies it, in the frame of the estimated heading."""
-    return GuideView(
-        in_frame(x.estimate, sub(x.p, own.p)), in_frame(x.estimate, sub(x.v, own.v))
-    )
+    R = frame.estimate
+    return GuideView(in_frame(R, sub(guide.p, own.p)), in_frame(R, sub(guide.v, own.v)))
 
 
 # -- the table --------------------------------------------------------------------------------------------
@@ -165,7 +170,9 @@ _guide = over_lanes(
     static={"actuation": (MOMENT, RATES)},
     x=_ROWS,
 )
-_view_guide = over_lanes(view_guide, into=("rows",), bounds=bounds(GuideView), x=_ROWS)
+_view_guide = over_lanes(
+    view_guide, into=("rows",), bounds=bounds(GuideView), frame=_ROWS, guide=_ROWS
+)
 
 
 @step
@@ -190,6 +197,11 @@ def _command_reference(
 
 
 @step
+def _show_guide(x: Any, own: Any, rows: Any) -> None:
+    _view_guide(x, x, own, rows)
+
+
+@step
 def _show_nothing(x: Any, own: Any, rows: Any) -> None:
     pass
 
@@ -197,7 +209,7 @@ def _show_nothing(x: Any, own: Any, rows: Any) -> None:
 LEVELS = (
     Level("wrench", 4, MOMENT, None, None, 0.05, _command_wrench, _show_nothing),
     Level("rates", 4, RATES, None, None, 0.05, _command_rates, _show_nothing),
-    Level("reference", 3, None, Guide, GuideView, 0.3, _command_reference, _view_guide),
+    Level("reference", 3, None, Guide, GuideView, 0.3, _command_reference, _show_guide),
 )
 NAMES = tuple(level.name for level in LEVELS)
 WRENCH, RATES_LEVEL, REFERENCE = range(3)

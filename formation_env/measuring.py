@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from formation_env import arrays, flight
-from formation_env._jit import device, step
+from formation_env._jit import cold, device, step
 from formation_env.arrays import Counters, Touch
 from formation_env.quadrotor import Body, Wrench
 from formation_env.records import LANES, at, line_loader, line_storer, loader, size, storer
@@ -45,7 +45,7 @@ def in_hand(memory: Any, room: Any, t: int, i: int) -> Any:
     return arrays.received(room, i)
 
 
-@step
+@cold
 def receive(memory: Any, room: Any, t: int, here: int) -> None:
     """Fetch the measurements that have arrived in the `here` worlds of tile `t`, if they are late."""
     if arrays.delays(memory) <= 1:
@@ -95,7 +95,7 @@ def measure_with_noise(memory: Any, room: Any, t: int, i: int) -> None:
     )
 
 
-@device
+@cold
 def measure_when_due(memory: Any, room: Any, t: int, i: int, k: int) -> None:
     """Sample vehicle `i` in the worlds that step, where a measurement is due after substep `k`."""
     world, active = arrays.world(memory), arrays.active(room)

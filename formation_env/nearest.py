@@ -17,6 +17,7 @@ distances and numbers found; `meeting` `(MEETING_ROWS BLOCK,)`, the points they 
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -131,7 +132,7 @@ def _bound(queue: Floats, axis: int, m: int) -> None:
         queue[_BEHIND, front], queue[_AHEAD, back] = furthest, nearest
 
 
-@device
+@partial(device, literal=False)
 def _at(row: int, k: Any) -> Any:
     """Where row `row` of a block has its entry for the one at `k`."""
     return np.uint64(row) * _BLOCK + k
@@ -268,7 +269,7 @@ def _unfinished(queue: Floats, there: int, sign: float, seekers: Any, rank: Any,
     return count
 
 
-@device
+@partial(device, literal=False)
 def _rank(seekers: Any, rank: int) -> Any:
     """Squared distances and numbers found of one rank, for the points of the block."""
     return carve(seekers, (SEEKER_ROWS + 2 * rank) * BLOCK, (2 * BLOCK,))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from formation_env import arrays, flight
-from formation_env._jit import step
+from formation_env._jit import cold, step
 from formation_env.arrays import SIGHT, Candidate, Squares
 from formation_env.measuring import in_hand
 from formation_env.nearest import (
@@ -49,7 +49,7 @@ def put_down(x: Any, i: int, m: int, room: Any) -> None:
         turn_square(x, lane, arrays.points(room), lane * stride + i * SIGHT, stride)
 
 
-@step
+@cold
 def order_world(room: Any, lane: int, m: int) -> int:
     """Put the `m` vehicles of one world in order along an axis, which is returned."""
     points = carve(arrays.points(room), lane * m * SIGHT, (m, SIGHT))
@@ -63,7 +63,7 @@ def queue_of(room: Any, m: int) -> Any:
     return carve(arrays.queue(room), 0, (QUEUE_ROWS, m + 2 * MARGIN))
 
 
-@step
+@cold
 def separate_many(memory: Any, room: Any, t: int, here: int) -> None:
     """Squared distances to the nearest other vehicle in `here` worlds of a tile, many vehicles each."""
     m = arrays.vehicles(memory)
@@ -80,7 +80,7 @@ def separate_many(memory: Any, room: Any, t: int, here: int) -> None:
                     arrays.squares(room, i)[_SEPARATION + lane] = found_square(seekers, k, 0)
 
 
-@step
+@cold
 def find_neighbours_of_many(memory: Any, room: Any, t: int, here: int) -> None:
     """Numbers of the neighbours of all followers as measured, if there are many."""
     m, K = arrays.vehicles(memory) - 1, arrays.neighbours(memory)
@@ -99,7 +99,7 @@ def find_neighbours_of_many(memory: Any, room: Any, t: int, here: int) -> None:
                     arrays.neighbour(room, i, rank)[lane] = found_number(seekers, k, rank)
 
 
-@step
+@cold
 def find_neighbours_of_few(memory: Any, room: Any, t: int, i: int) -> None:
     """Numbers of the neighbours of follower `i` as measured, among few followers."""
     n, K = arrays.vehicles(memory) - 1, arrays.neighbours(memory)
@@ -133,7 +133,7 @@ def fetch_neighbour(memory: Any, room: Any, t: int, i: int, rank: int) -> None:
             other[row * LANES + lane] = x[row * LANES + lane]
 
 
-@step
+@cold
 def fetch_neighbour_of_many(memory: Any, room: Any, i: int, rank: int) -> None:
     """The same from what `find_neighbours_of_many` has put down: a line each, which are turned."""
     numbers, points, lines = arrays.neighbour(room, i, rank), arrays.points(room), arrays.lines(room)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from math import cos, pi, sin, sqrt
 from typing import Any, NamedTuple
 
@@ -99,7 +100,7 @@ def _draw_axis(key: int, axis: int, fastest: float, bounds: Floats, table: Float
         table[i + 2] = 2.0 * pi * c
 
 
-@device
+@partial(device, literal=False)
 def _reach(table: Floats, axis: int, power: int) -> float:
     """`sum |amplitude| rate^power` of an axis: bound of its derivative of that order."""
     harmonics = int(table[0])
@@ -110,13 +111,13 @@ def _reach(table: Floats, axis: int, power: int) -> float:
     return total
 
 
-@device
+@partial(device, literal=False)
 def _reach_norm(table: Floats, power: int) -> float:
     x, y, z = _reach(table, 0, power), _reach(table, 1, power), _reach(table, 2, power)
     return sqrt(x * x + y * y + z * z)
 
 
-@device
+@partial(device, literal=False)
 def _shrink(table: Floats, axis: int, factor: float) -> None:
     harmonics = int(table[0])
     for k in range(harmonics):

@@ -10,6 +10,7 @@ Source: J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, "Parallel random num
 
 from __future__ import annotations
 
+from functools import partial
 from math import pi
 from typing import Any
 
@@ -41,7 +42,7 @@ def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, A
     return c0, c1, c2, c3
 
 
-@device
+@partial(device, literal=False)
 def words(key: int, purpose: int, who: int, when: int, block: int) -> tuple[Any, Any, Any, Any]:
     """Four random words of 32 bits.
 
@@ -60,7 +61,7 @@ def words(key: int, purpose: int, who: int, when: int, block: int) -> tuple[Any,
     )
 
 
-@device
+@partial(device, literal=False)
 def uniforms(key: int, purpose: int, who: int, when: int, block: int) -> Four:
     """Four numbers uniform in (0, 1), never 0 or 1: the words of this draw."""
     a, b, c, d = words(key, purpose, who, when, block)
@@ -96,7 +97,7 @@ def normal_pair(a: Any, b: Any) -> tuple[Any, Any]:
     return np.copysign(r * (cosine - sine), x), np.copysign(r * (cosine + sine), y)
 
 
-@device
+@partial(device, literal=False)
 def normals(key: int, purpose: int, who: int, when: int, block: int) -> Four:
     """Four standard normal numbers, of the resolution of float32."""
     a, b, c, d = words(key, purpose, who, when, block)

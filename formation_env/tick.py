@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from formation_env import arrays, flight, quadrotor
-from formation_env._jit import step
+from formation_env._jit import cold, step
 from formation_env.arrays import Counters
 from formation_env.calls import (
     OUTCOME,
@@ -121,7 +121,7 @@ def choose_worlds(memory: Any, room: Any, t: int, here: int) -> flight.Choice:
     return flight.choose(named, arrays.counters(memory, t), reset, active, moving)  # type: ignore[no-any-return]
 
 
-@step
+@cold
 def disturb(memory: Any, room: Any, t: int) -> None:
     """What pushes the vehicles of the worlds that step from outside, held during this tick."""
     world = arrays.world(memory)
@@ -164,7 +164,7 @@ def take_actions(memory: Any, room: Any, t: int, here: int) -> None:
                     executed[k * LANES + lane] = min(max(a, -1.0), 1.0)
 
 
-@step
+@cold
 def save(memory: Any, room: Any, t: int) -> None:
     """Keep what flying changes: lanes whose worlds stand still are computed too, then put back."""
     rows = arrays.vehicle_rows(memory)
@@ -174,7 +174,7 @@ def save(memory: Any, room: Any, t: int) -> None:
             copy(arrays.sample(memory, t, i, 0), 0, arrays.saved(room, i), rows, _MEASURED)
 
 
-@step
+@cold
 def put_back(memory: Any, room: Any, t: int) -> None:
     """Undo the tick in the lanes whose worlds do not step."""
     rows, active = arrays.vehicle_rows(memory), arrays.active(room)
@@ -210,7 +210,7 @@ def refer(memory: Any, room: Any, t: int, here: int, standing: int) -> None:
     gather(source, starts, arrays.reference(room))
 
 
-@step
+@cold
 def reference_of(memory: Any, t: int, lane: int) -> Reference:
     """The leader's reference where it is not in the table: waiting, or on a path of its own or long."""
     count = arrays.counters(memory, t)
@@ -416,7 +416,7 @@ def locate(memory: Any, room: Any, t: int, here: int) -> int:
     return standing  # type: ignore[no-any-return]
 
 
-@step
+@cold
 def trigger(memory: Any, room: Any, t: int) -> bool:
     """The trigger (40), on true positions: every vehicle is near where it should start from.
 
