@@ -24,7 +24,7 @@ _store_measured, _store_follower = storer(Measured), storer(Follower)
 _STILL = (0.0, 0.0, 0.0, 0.0)
 
 
-@cold
+@step
 def place(memory: Any, w: int, i: int, body: Body, a: Vector, key: Any) -> None:
     """Put a vehicle with acceleration `a` into world `w`: undisturbed, its sensors settled."""
     t, lane, world = w // LANES, np.uint64(w % LANES), arrays.world(memory)
@@ -78,21 +78,21 @@ def start_episode(memory: Any, room: Any, w: int) -> None:
     begin, R = evaluate(family, table, 0.0), start_direction(family, table)
     _store_point(arrays.begin(memory, t), at_lane, begin.p)
 
+    leader = trimmed(begin, world)
     if world.on_ground:
-        # Slots are those of the reference's first point (40), at rest.
         place(memory, w, 0, resting(_read_point(arrays.start(memory, 0))), ZERO, key)
-        p_L, v_L = begin.p, ZERO
     else:
-        leader = trimmed(begin, world)
         place(memory, w, 0, leader, begin.a, key)
-        p_L, v_L = leader.p, leader.v
     for i in range(arrays.vehicles(memory) - 1):
-        x, target = arrays.follower(memory, t, i), slot(R, p_L, v_L, _read_point(arrays.offset(memory, i)))
+        x, d = arrays.follower(memory, t, i), _read_point(arrays.offset(memory, i))
         _store_follower(x, at_lane, Follower(R, R, _STILL))
-        begin_level(arrays.level(memory), x, at_lane, target)
         if world.on_ground:
+            # Slots are those of the reference's first point (40), at rest.
+            begin_level(arrays.level(memory), x, at_lane, slot(R, begin.p, ZERO, d))
             body = resting(_read_point(arrays.start(memory, i + 1)))
         else:
+            target = slot(R, leader.p, leader.v, d)
+            begin_level(arrays.level(memory), x, at_lane, target)
             body = near(target, key, i + 1, world)
         place(memory, w, i + 1, body, ZERO, key)
         clear_outcome(arrays.outcome(room, i), lane)

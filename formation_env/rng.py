@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from formation_env._jit import device
+from formation_env._jit import cold, device
 from formation_env.elementary import Single, log_of_unit, sin_cos_of_octant
 
 Four = tuple[float, float, float, float]
@@ -61,7 +61,7 @@ def words(key: int, purpose: int, who: int, when: int, block: int) -> tuple[Any,
     )
 
 
-@partial(device, literal=False)
+@cold
 def uniforms(key: int, purpose: int, who: int, when: int, block: int) -> Four:
     """Four numbers uniform in (0, 1), never 0 or 1: the words of this draw."""
     a, b, c, d = words(key, purpose, who, when, block)
@@ -97,7 +97,7 @@ def normal_pair(a: Any, b: Any) -> tuple[Any, Any]:
     return np.copysign(r * (cosine - sine), x), np.copysign(r * (cosine + sine), y)
 
 
-@partial(device, literal=False)
+@cold
 def normals(key: int, purpose: int, who: int, when: int, block: int) -> Four:
     """Four standard normal numbers, of the resolution of float32."""
     a, b, c, d = words(key, purpose, who, when, block)
