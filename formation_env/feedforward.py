@@ -46,9 +46,7 @@ def _spin_dot(w: float, w1: float, a: complex, a1: complex) -> complex:
 
 
 @device
-def _spin_ddot(
-    w: float, w1: float, w2: float, a: complex, a1: complex, a2: complex
-) -> complex:
+def _spin_ddot(w: float, w1: float, w2: float, a: complex, a1: complex, a2: complex) -> complex:
     """Second time derivative of `S(w) a`."""
     return spin(w2, a) + scaled(2.0, spin(w1, a1)) + spin(w, a2)
 

@@ -221,7 +221,9 @@ def advance(f: Virtual, leader: Reference, d: Vector, h: float, law: PlannerLaw)
     A Runge-Kutta step in which the leader coasts at the sampled acceleration: between samples nothing
     newer is known.
     """
-    return _step(f, h, leader, _coast(leader, 0.5 * h), _coast(leader, h), d, law)
+    middle, end = _coast(leader, 0.5 * h), _coast(leader, h)
+    after: Virtual = _step(f, h, leader, middle, end, d, law)
+    return after
 
 
 @device

@@ -58,7 +58,7 @@ def test_first_two_derivatives_are_the_planners(x: np.ndarray, seed: int) -> Non
     leader = Reference(*Sines(seed).at(x[9]))
     plain = planner.reference(virtual(x), leader, D, GENERIC)
     full = feedforward.full_reference(virtual(x), leader, D, GENERIC)
-    agree(np.concatenate(full[:3]), np.concatenate(plain[:3]), 1e-12)
+    assert full[:3] == plain[:3]
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
