@@ -22,14 +22,14 @@ from baselines.expert_lanes import (
     Measurements,
     decide,
     load_observation,
-    load_reference,
+    load_point,
     load_virtual,
     measurements,
     open_room,
     plan_tile,
     planner_law,
     start,
-    take,
+    take_rows,
     waiting,
 )
 from baselines.policy import Policy, Rows
@@ -41,7 +41,7 @@ from formation_env.memory import Settings, flatten, tiles, unpack
 from formation_env.planner import PlannerLaw, Virtual, errors, plane
 from formation_env.quadrotor import MOMENT
 from formation_env.records import at, fields, line_storer, size, slices
-from formation_env.references import Reference
+from formation_env.references import TrajectoryPoint
 from formation_env.so3 import Vector
 from formation_env.tracker import errors as tracker_errors
 
@@ -82,7 +82,7 @@ _PLANNED = at(Decision, "planned")
 
 
 @device
-def _flown(m: Measurements, ref: Reference, s: Settings) -> Flown:
+def _flown(m: Measurements, ref: TrajectoryPoint, s: Settings) -> Flown:
     moment = s.world.follower_actuation == MOMENT
     e = tracker_errors(m.motion, ref, s.world.tracker if moment else s.world.rates_tracker)
     return Flown(ref.p, ref.v, e.e1, e.e2, e.e3, e.e4)
@@ -111,7 +111,7 @@ def _record(
     law = planner_law(gains)
     for t in range(len(memory)):
         x = carve(memory, t * VIRTUAL * LANES, (VIRTUAL * LANES,))
-        take(rows, t, OBSERVED, room)
+        take_rows(rows, t, OBSERVED, room)
         if fresh and waiting(x):
             start(room.rows, x)
         own = record[t * LANES : (t + 1) * LANES]
@@ -122,7 +122,7 @@ def _record(
         plan_tile(room, x, s.world.clock.period, law, derived)
         for lane in range(len(own)):
             m = measurements(load_observation(room.rows, np.uint64(lane)))
-            ref = load_reference(room.refs, np.uint64(lane))
+            ref = load_point(room.points, np.uint64(lane))
             _store_flown(own[lane], _flown(m, ref, s))
 
 

@@ -17,12 +17,12 @@ from baselines.policy import Rows
 from formation_env._jit import device, kernel, loop
 from formation_env.blocks import LANES, carve, gather, reinterpret
 from formation_env.elementary import phase, pick
-from formation_env.feedforward import full_reference
+from formation_env.feedforward import full_trajectory_point
 from formation_env.memory import unpack
-from formation_env.planner import PlannerLaw, Virtual, advance, place, reference, scaled
+from formation_env.planner import PlannerLaw, Virtual, advance, place, scaled, trajectory_point
 from formation_env.quadrotor import MOMENT, RATES
 from formation_env.records import define, keeper, line_loader, loader, parts, size, storer
-from formation_env.references import Reference
+from formation_env.references import TrajectoryPoint
 from formation_env.slots import in_frame, out_of_frame
 from formation_env.so3 import ZERO, Vector, add, cross, pick_vector, scale, sub
 from formation_env.task import Observation
@@ -45,7 +45,7 @@ class Measurements(NamedTuple):
     """What an observation was made of, in the inertial frame."""
 
     motion: Motion  # of the vehicle itself
-    leader: Reference  # jerk and snap, which nothing measures, are zero
+    leader: TrajectoryPoint  # jerk and snap, which nothing measures, are zero
     heading: complex  # exp(j theta) of the estimated theta
     offset: Vector  # d, m, {F}
     started: bool  # whether the trigger (40) has fired
@@ -53,12 +53,12 @@ class Measurements(NamedTuple):
 
 load_observation, load_guided = loader(Observation), loader(Guided)
 load_virtual, keep_virtual = loader(Virtual), keeper(Virtual)
-load_reference, _store_reference = loader(Reference), storer(Reference)
+load_point, _store_point = loader(TrajectoryPoint), storer(TrajectoryPoint)
 _store_action, _store_vector = storer(Action), storer(Vector)
 planner_law = line_loader(PlannerLaw)
 
 # Rows of a tile: of virtual followers, of their trajectories, of actions, of what is read of observations.
-VIRTUAL, _TRAJECTORY, _ACTION = size(Virtual), size(Reference), size(Action)
+VIRTUAL, _TRAJECTORY, _ACTION = size(Virtual), size(TrajectoryPoint), size(Action)
 OBSERVED, _GUIDED = size(Observation), size(Guided)
 # Where a virtual follower counts as lost: m, rad, m/s, rad/s, m s. Flights stay far below, and the powers
 # of it that the laws take stay far from where float64 ends.
@@ -70,7 +70,7 @@ ROOM = (_TRAJECTORY + _ACTION + 1) * LANES + _GUIDED * LANES // 2
 class Room(NamedTuple):
     """Where one tile is worked on."""
 
-    refs: Floats  # (_TRAJECTORY L,)
+    points: Floats  # (_TRAJECTORY L,)
     actions: Floats  # (_ACTION L,)
     rows: Rows  # (_GUIDED L,)
     starts: NDArray[np.int64]  # (L,): where a piece of each row begins
@@ -84,7 +84,7 @@ def measurements(o: Observation) -> Measurements:
     v = sub(v_L, out_of_frame(R, o.relative_velocity))
     p_L = add(o.position, out_of_frame(R, add(o.slot_error, o.offset)))
     r1, r3 = out_of_frame(R, o.body_x), out_of_frame(R, o.body_z)
-    leader = Reference(p_L, v_L, out_of_frame(R, o.leader_acceleration), ZERO, ZERO)
+    leader = TrajectoryPoint(p_L, v_L, out_of_frame(R, o.leader_acceleration), ZERO, ZERO)
     motion = Motion(o.position, v, (r1, cross(r3, r1), r3), o.angular_velocity)
     return Measurements(motion, leader, R, o.offset, o.started > 0.5)
 
@@ -124,56 +124,56 @@ def start(rows: Any, x: Any) -> None:
 
 @device
 def _plan(
-    rows: Any, x: Any, lane: Any, h: float, law: PlannerLaw, derived: bool, refs: Any
+    rows: Any, x: Any, lane: Any, h: float, law: PlannerLaw, derived: bool, points: Any
 ) -> None:
     m, f = measurements(load_observation(rows, lane)), load_virtual(x, lane)
-    r = reference(f, m.leader, m.offset, law)
+    r = trajectory_point(f, m.leader, m.offset, law)
     if derived:
-        r = full_reference(f, m.leader, m.offset, law)
-    at_rest = Reference(
+        r = full_trajectory_point(f, m.leader, m.offset, law)
+    at_rest = TrajectoryPoint(
         r.p,
         pick_vector(m.started, r.v, ZERO),
         pick_vector(m.started, r.a, ZERO),
         pick_vector(m.started, r.j, ZERO),
         pick_vector(m.started, r.s, ZERO),
     )
-    _store_reference(refs, lane, at_rest)
+    _store_point(points, lane, at_rest)
     keep_virtual(x, lane, m.started, advance(f, m.leader, m.offset, h, law))
     x[lane] = pick(_in_reach(load_virtual(x, lane)), x[lane], np.nan)
 
 
 @loop
-def plan(rows: Any, x: Any, h: float, law: PlannerLaw, refs: Any) -> None:
+def plan(rows: Any, x: Any, h: float, law: PlannerLaw, points: Any) -> None:
     """The trajectories of the virtual followers now, which then go on by `h` seconds.
 
     They are at rest before the trigger, and then as in (35). One that the observations have driven
     further than can be computed, as a leader at 90 m/s does, waits for a start again.
     """
     for lane in range(_LANES):
-        _plan(rows, x, lane, h, law, False, refs)
+        _plan(rows, x, lane, h, law, False, points)
 
 
 @loop
-def plan_derived(rows: Any, x: Any, h: float, law: PlannerLaw, refs: Any) -> None:
+def plan_derived(rows: Any, x: Any, h: float, law: PlannerLaw, points: Any) -> None:
     """As `plan`, with the third and fourth derivatives."""
     for lane in range(_LANES):
-        _plan(rows, x, lane, h, law, True, refs)
+        _plan(rows, x, lane, h, law, True, points)
 
 
 @device
 def plan_tile(room: Room, x: Any, h: float, law: PlannerLaw, derived: bool) -> None:
     """`plan` or `plan_derived` for the tile in the room."""
     if derived:
-        plan_derived(room.rows, x, h, law, room.refs)
+        plan_derived(room.rows, x, h, law, room.points)
     else:
-        plan(room.rows, x, h, law, room.refs)
+        plan(room.rows, x, h, law, room.points)
 
 
 @device
-def _act(rows: Any, refs: Any, lane: Any, actuation: int, world: World, actions: Any) -> None:
+def _act(rows: Any, points: Any, lane: Any, actuation: int, world: World, actions: Any) -> None:
     """The tracker's command in units of the action."""
     motion = measurements(load_observation(rows, lane)).motion
-    wanted = track(motion, load_reference(refs, lane), actuation, world)
+    wanted = track(motion, load_point(points, lane), actuation, world)
     a = wrench_action(wanted, world.reach)
     _store_action(
         actions,
@@ -188,21 +188,21 @@ def _act(rows: Any, refs: Any, lane: Any, actuation: int, world: World, actions:
 
 
 @loop
-def act_by_moment(rows: Any, refs: Any, world: World, actions: Any) -> None:
+def act_by_moment(rows: Any, points: Any, world: World, actions: Any) -> None:
     """Actions of level WRENCH."""
     for lane in range(_LANES):
-        _act(rows, refs, lane, MOMENT, world, actions)
+        _act(rows, points, lane, MOMENT, world, actions)
 
 
 @loop
-def act_by_rates(rows: Any, refs: Any, world: World, actions: Any) -> None:
+def act_by_rates(rows: Any, points: Any, world: World, actions: Any) -> None:
     """Actions of level RATE."""
     for lane in range(_LANES):
-        _act(rows, refs, lane, RATES, world, actions)
+        _act(rows, points, lane, RATES, world, actions)
 
 
 @loop
-def accelerate(rows: Any, x: Any, refs: Any, h: float, reach: Reach, actions: Any) -> None:
+def accelerate(rows: Any, x: Any, points: Any, h: float, reach: Reach, actions: Any) -> None:
     """Actions of level REFERENCE: they take the environment's virtual follower along with ours.
 
     A constant acceleration that matches our velocity at the end of the tick, and removes what is left
@@ -215,7 +215,7 @@ def accelerate(rows: Any, x: Any, refs: Any, h: float, reach: Reach, actions: An
         guide_v = add(m.motion.v, out_of_frame(m.heading, o.guide.v))
         v = scaled(after.u, phase(after.theta))
         wanted = sub((v.real, v.imag, after.w), guide_v)
-        behind = sub(load_reference(refs, lane).p, guide_p)
+        behind = sub(load_point(points, lane).p, guide_p)
         a = in_frame(m.heading, add(scale(1.0 / h, wanted), scale(2.0, behind)))
         b = acceleration_action(a, reach)
         action = (clipped_or_zero(b[0]), clipped_or_zero(b[1]), clipped_or_zero(b[2]))
@@ -240,7 +240,7 @@ def open_room(room: Floats) -> Room:
 
 
 @device
-def take(rows: Rows, t: int, entries: int, room: Room) -> None:
+def take_rows(rows: Rows, t: int, entries: int, room: Room) -> None:
     """The first `entries` columns of the rows of tile `t`; past the end the last row again.
 
     Whole squares are turned; what is left goes number by number.
@@ -282,17 +282,17 @@ def decide(
     any_waits = False
     for t in range(len(memory)):
         x = carve(memory, t * VIRTUAL * LANES, (VIRTUAL * LANES,))
-        take(rows, t, entries, room)
+        take_rows(rows, t, entries, room)
         if fresh and waiting(x):
             start(room.rows, x)
         plan_tile(room, x, h, law, derived)
         any_waits = waiting(x) or any_waits
         if level == REFERENCE:
-            accelerate(room.rows, x, room.refs, h, s.world.reach, room.actions)
+            accelerate(room.rows, x, room.points, h, s.world.reach, room.actions)
         elif s.world.follower_actuation == MOMENT:
-            act_by_moment(room.rows, room.refs, s.world, room.actions)
+            act_by_moment(room.rows, room.points, s.world, room.actions)
         else:
-            act_by_rates(room.rows, room.refs, s.world, room.actions)
+            act_by_rates(room.rows, room.points, s.world, room.actions)
         for lane in range(min(LANES, len(rows) - t * LANES)):
             for k in range(actions.shape[1]):
                 actions[t * LANES + lane, k] = room.actions[k * LANES + lane]

@@ -79,15 +79,15 @@ class Learned(Policy):
         output = np.empty((worlds * n, self.config.action_size), dtype=np.float32)
         for start in range(0, len(flat), _ROWS):
             part = slice(start, start + _ROWS)
-            output[part] = self._forward(self._look(flat[part], part))
+            output[part] = self._forward(self._inputs(flat[part], part))
         self._fresh[:] = False
         actions = output.reshape(worlds, n, -1)
         if self._expert is None:
             return clipped(actions)
         return corrected(self._expert.decide(rows), actions, self.card.residual)
 
-    def _look(self, rows: Rows, part: slice) -> Rows:
-        """What the network sees, `(rows, history * entries)`, after these observations."""
+    def _inputs(self, rows: Rows, part: slice) -> Rows:
+        """What the network is given, `(rows, history * entries)`, after these observations."""
         bound = np.float32(self.card.clip)
         with np.errstate(over="ignore"):  # of a tiny scale: infinity is clipped
             now: Rows = np.clip((rows - self._mean) / self._scale, -bound, bound)
@@ -114,7 +114,7 @@ class Learned(Policy):
 def require_fit(card: Card, config: FormationConfig) -> None:
     """Raise `Misfit` unless a policy sees and commands what followers of this configuration do.
 
-    `load` has seen to the layout's version.
+    `load` has checked the version of the layout.
     """
     found: dict[str, tuple[Any, Any]] = {
         "action level": (card.action, config.action),

@@ -2,7 +2,7 @@
 
 The tracker wants a reference of class C4; (35) gives two derivatives. The other two follow from
 differentiating the law (21) along its own motion, once and twice, given the leader's jerk and snap.
-The paper's experiment set them to zero instead, which is `planner.reference`.
+The paper's experiment set them to zero instead, which is `planner.trajectory_point`.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from formation_env.planner import (
     in_motion,
     mu,
     plane,
-    reference,
     saturation,
     saturation_slope,
     scaled,
     spin,
+    trajectory_point,
 )
+from formation_env.references import TrajectoryPoint
 from formation_env.so3 import Vector
-from formation_env.trajectories import Reference
 
 
 class Actuation(NamedTuple):
@@ -52,7 +52,7 @@ def _spin_ddot(w: float, w1: float, w2: float, a: complex, a1: complex, a2: comp
 
 
 @device
-def actuation(f: Virtual, leader: Reference, d: Vector, law: PlannerLaw) -> Actuation:
+def actuation(f: Virtual, leader: TrajectoryPoint, d: Vector, law: PlannerLaw) -> Actuation:
     """`mu` of (21) and its derivatives along the closed loop.
 
     The law is linear in its terms: with their time derivatives in their places it gives those of `mu`.
@@ -94,12 +94,14 @@ def actuation(f: Virtual, leader: Reference, d: Vector, law: PlannerLaw) -> Actu
 
 
 @device
-def full_reference(f: Virtual, leader: Reference, d: Vector, law: PlannerLaw) -> Reference:
-    """`planner.reference` with the third and fourth derivatives, all in closed form.
+def full_trajectory_point(
+    f: Virtual, leader: TrajectoryPoint, d: Vector, law: PlannerLaw
+) -> TrajectoryPoint:
+    """`planner.trajectory_point` with the third and fourth derivatives, all in closed form.
 
     The leader's jerk and snap enter; the vertical ones are zero while (34) saturates.
     """
-    r, m = reference(f, leader, d, law), actuation(f, leader, d, law)
+    r, m = trajectory_point(f, leader, d, law), actuation(f, leader, d, law)
     w, u, R = f.omega, f.u, phase(f.theta)
     # R^T times the third and the fourth, from (35): R^T times the first is u i.
     third = complex(m.T_dot - w * w * u, 2.0 * w * m.T + m.tau * u)
@@ -112,4 +114,4 @@ def full_reference(f: Virtual, leader: Reference, d: Vector, law: PlannerLaw) ->
     e_a = leader.a[2] - a_z
     j_z = pick(free, leader.j[2] + law.kz1 * (leader.v[2] - f.w) + law.kz2 * e_a, 0.0)
     s_z = pick(free, leader.s[2] + law.kz1 * e_a + law.kz2 * (leader.j[2] - j_z), 0.0)
-    return Reference(r.p, r.v, r.a, (j.real, j.imag, j_z), (s.real, s.imag, s_z))
+    return TrajectoryPoint(r.p, r.v, r.a, (j.real, j.imag, j_z), (s.real, s.imag, s_z))

@@ -19,9 +19,9 @@ from typing import NamedTuple
 
 from formation_env._jit import device
 from formation_env.elementary import phase, tanh
+from formation_env.references import TrajectoryPoint
 from formation_env.runge_kutta import runge_kutta
 from formation_env.so3 import Vector
-from formation_env.trajectories import Reference
 
 
 class PlannerLaw(NamedTuple):
@@ -175,7 +175,7 @@ def control(
 
 
 @device
-def climb(f: Virtual, leader: Reference, d_z: float, law: PlannerLaw) -> float:
+def climb(f: Virtual, leader: TrajectoryPoint, d_z: float, law: PlannerLaw) -> float:
     """Vertical acceleration of a virtual follower (33)-(34), m/s^2, down.
 
     `sigma_z(p_L_ddot_z + k_z1 e_z + k_z2 e_z_dot)` with `e_z = p_Lz - p_Fz - d_z` (32). Away from the
@@ -187,7 +187,7 @@ def climb(f: Virtual, leader: Reference, d_z: float, law: PlannerLaw) -> float:
 
 
 @device
-def derivative(f: Virtual, leader: Reference, d: Vector, law: PlannerLaw) -> Virtual:
+def derivative(f: Virtual, leader: TrajectoryPoint, d: Vector, law: PlannerLaw) -> Virtual:
     """Time derivative of a virtual follower's state under its law (2)-(5), (18), (33)."""
     p_L, v_L, a_L = plane(leader.p), plane(leader.v), plane(leader.a)
     T, tau = control(f, p_L, v_L, a_L, plane(d), law)
@@ -198,11 +198,11 @@ def derivative(f: Virtual, leader: Reference, d: Vector, law: PlannerLaw) -> Vir
 
 
 @device
-def _coast(leader: Reference, h: float) -> Reference:
+def _coast(leader: TrajectoryPoint, h: float) -> TrajectoryPoint:
     """The leader `h` seconds on, its acceleration held."""
     p, v, a = leader.p, leader.v, leader.a
     k = 0.5 * h * h
-    return Reference(
+    return TrajectoryPoint(
         (p[0] + h * v[0] + k * a[0], p[1] + h * v[1] + k * a[1], p[2] + h * v[2] + k * a[2]),
         (v[0] + h * a[0], v[1] + h * a[1], v[2] + h * a[2]),
         a,
@@ -215,7 +215,7 @@ _step = runge_kutta(derivative, Virtual)
 
 
 @device
-def advance(f: Virtual, leader: Reference, d: Vector, h: float, law: PlannerLaw) -> Virtual:
+def advance(f: Virtual, leader: TrajectoryPoint, d: Vector, h: float, law: PlannerLaw) -> Virtual:
     """A virtual follower `h` seconds later, from one sample of the leader.
 
     A Runge-Kutta step in which the leader coasts at the sampled acceleration: between samples nothing
@@ -249,16 +249,18 @@ def place(p_L: Vector, v_L: Vector, d: Vector, direction: complex, moving: bool)
 
 
 @device
-def reference(f: Virtual, leader: Reference, d: Vector, law: PlannerLaw) -> Reference:
+def trajectory_point(
+    f: Virtual, leader: TrajectoryPoint, d: Vector, law: PlannerLaw
+) -> TrajectoryPoint:
     """The trajectory a virtual follower draws, and its derivatives up to the second (35).
 
-    Jerk and snap are zero, as in the paper's experiment. See `full_reference`.
+    Jerk and snap are zero, as in the paper's experiment. See `full_trajectory_point`.
     """
     T, _ = control(f, plane(leader.p), plane(leader.v), plane(leader.a), plane(d), law)
     R = phase(f.theta)
     v = scaled(f.u, R)
     a = R * complex(T, f.omega * f.u)
-    return Reference(
+    return TrajectoryPoint(
         (f.p.real, f.p.imag, f.z),
         (v.real, v.imag, f.w),
         (a.real, a.imag, climb(f, leader, d[2], law)),

@@ -40,7 +40,7 @@ from formation_env.so3 import (
     shortest_arc,
     sub,
 )
-from formation_env.tracker import Motion, TrackerLaw, rates, rates_through_lag, torque
+from formation_env.tracker import Motion, TrackerLaw, rate_command, rate_command_through_lag, torque
 from formation_env.trajectories import Reference
 
 Action = tuple[float, float, float, float]
@@ -121,7 +121,7 @@ def track(m: Motion, ref: Reference, actuation: int, world: World) -> Wrench:
     if actuation == MOMENT:
         t = torque(m, ref, airframe.mass, world.tracker)
         return Wrench(t.thrust, moment(t.tau, m.w, airframe.inertia))
-    r = rates_through_lag(m, ref, airframe.mass, world.rates_tracker, airframe.rate_lag)
+    r = rate_command_through_lag(m, ref, airframe.mass, world.rates_tracker, airframe.rate_lag)
     return Wrench(r.thrust, r.w)
 
 
@@ -194,7 +194,7 @@ def trimmed(ref: Reference, world: World) -> Body:
     b = (-ref.a[0], -ref.a[1], GRAVITY - ref.a[2])
     q = shortest_arc(scale(1.0 / norm(b), b))
     m = Motion(ref.p, ref.v, rotation(q), (0.0, 0.0, 0.0))
-    return Body(ref.p, ref.v, q, rates(m, ref, world.airframe.mass, world.tracker).w)
+    return Body(ref.p, ref.v, q, rate_command(m, ref, world.airframe.mass, world.tracker).w)
 
 
 @device

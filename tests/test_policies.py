@@ -211,10 +211,10 @@ def test_the_experts_loops_are_vector_code() -> None:
         "from formation_env import configure\n"
         "L = e.LANES\n"
         "rows, x = np.ones(e.OBSERVED * L, np.float32), np.ones(e.VIRTUAL * L)\n"
-        "refs = np.ones(e.size(e.Reference) * L)\n"
+        "points = np.ones(e.size(e.TrajectoryPoint) * L)\n"
         "c = configure('paper')\n"
         "for loop in (e.plan, e.plan_derived):\n"
-        "    loop(rows, x, 0.02, c.planner.law(), refs)\n"
+        "    loop(rows, x, 0.02, c.planner.law(), points)\n"
         "    code = next(iter(loop.inspect_asm().values()))\n"
         "    print(code.count('mulpd') + code.count('.2d'))\n"
     )

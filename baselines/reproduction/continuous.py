@@ -24,7 +24,7 @@ from formation_env.planner import errors as planner_errors
 from formation_env.quadrotor import MOMENT, Airframe, Body, Wrench, moment
 from formation_env.quadrotor import derivative as body_derivative
 from formation_env.records import line_loader, line_storer, size, slices
-from formation_env.references import Floats, Reference, evaluate
+from formation_env.references import Floats, TrajectoryPoint, evaluate
 from formation_env.so3 import ZERO, Vector, dot, normalise, rotation
 from formation_env.tracker import Motion, TrackerLaw, certificate, pointing, torque
 from formation_env.tracker import errors as tracker_errors
@@ -208,7 +208,7 @@ def _motion(b: Body) -> Motion:
 
 
 @device
-def flown(b: Body, ref: Reference, airframe: Airframe, law: TrackerLaw) -> Body:
+def flown(b: Body, ref: TrajectoryPoint, airframe: Airframe, law: TrackerLaw) -> Body:
     """Rate of a vehicle's state under the tracker: (41)-(46) with (54), (67)-(68)."""
     c = torque(_motion(b), ref, airframe.mass, law)
     applied = Wrench(c.thrust, moment(c.tau, b.w, airframe.inertia))

@@ -29,13 +29,13 @@ from baselines.reproduction.continuous import (
 )
 from formation_env._jit import device, kernel
 from formation_env.config import NO_NOISE
-from formation_env.feedforward import full_reference
+from formation_env.feedforward import full_trajectory_point
 from formation_env.planner import PlannerLaw, Virtual, place, plane
 from formation_env.planner import derivative as planner_derivative
-from formation_env.planner import reference as planner_reference
+from formation_env.planner import trajectory_point as planner_trajectory_point
 from formation_env.quadrotor import Airframe, Body
 from formation_env.records import line_loader, line_storer, size
-from formation_env.references import Floats, Reference, evaluate
+from formation_env.references import Floats, TrajectoryPoint, evaluate
 from formation_env.scenarios import configure
 from formation_env.so3 import ZERO, Vector
 from formation_env.tracker import TrackerLaw
@@ -46,13 +46,15 @@ _NAMES = ("zero", "derived", "derived, leader's exact")
 
 
 @device
-def _fed(f: Virtual, leader: Reference, d: Vector, law: PlannerLaw, mode: int) -> Reference:
+def _fed(
+    f: Virtual, leader: TrajectoryPoint, d: Vector, law: PlannerLaw, mode: int
+) -> TrajectoryPoint:
     """The reference of a virtual follower with its higher derivatives made in one of three ways."""
     if mode == ZERO_FED:
-        return planner_reference(f, leader, d, law)
+        return planner_trajectory_point(f, leader, d, law)
     if mode == DERIVED:  # nobody measures the leader's jerk and snap
-        leader = Reference(leader.p, leader.v, leader.a, ZERO, ZERO)
-    return full_reference(f, leader, d, law)
+        leader = TrajectoryPoint(leader.p, leader.v, leader.a, ZERO, ZERO)
+    return full_trajectory_point(f, leader, d, law)
 
 
 _read_follower, _write_follower = line_loader(Virtual), line_storer(Virtual)
@@ -89,7 +91,7 @@ def _pair_start(kind: int, table: Floats, d: Floats, planner: PlannerLaw, world:
     f = place(leader.p, leader.v, vector(d), v / abs(v), True)
     y = np.empty(_FOLLOWER + BODY)
     _write_follower(y, f)
-    put_body(y[_FOLLOWER:], trimmed(full_reference(f, leader, vector(d), planner), world))
+    put_body(y[_FOLLOWER:], trimmed(full_trajectory_point(f, leader, vector(d), planner), world))
     return y
 
 
