@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.expert import Expert
-from baselines.reproduction.continuous import vector
+from baselines.reproduction.continuous import fields_of, vector
 from formation_env import FormationConfig
 from formation_env._jit import kernel
 from formation_env.planner import PlanarErrors, PlannerLaw, Virtual, plane
@@ -27,6 +27,9 @@ from formation_env.simulation import Simulation, seeded_key
 AFTER_TRIGGER = 80.0  # s, what the figures show once the trigger (40) has fired
 TRANSIENT = 15.0  # s after the trigger, not part of the steady state
 PATIENCE = 120.0  # s, for the trigger
+
+
+Errors = dict[str, Floats]  # by name, (T, W, n, components) each
 
 
 class Run(NamedTuple):
@@ -42,9 +45,9 @@ class Run(NamedTuple):
     estimate: Floats  # (T, W, 3) leader's acceleration as follower 1 knows it, m/s^2
     virtual_p: Floats  # (T, W, n, 3) m
     virtual_v: Floats  # (T, W, n, 3) m/s
-    planner: Floats  # (T, W, n, 5): e1 (2), e2 (2), e_z as the planner measures them, m
-    planner_true: Floats  # (T, W, n, 4): e1 (2), e2 (2) with the leader's true motion, m
-    tracker: Floats  # (T, W, n, 12): e1 to e4 as the tracker measures them
+    planner: Errors  # e1 (2), e2 (2), ez (1) as the planner measures them, m
+    planner_true: Errors  # e1 (2), e2 (2) with the leader's true motion, m
+    tracker: Errors  # e1 to e4 (3 each) as the tracker measures them
 
     @property
     def tracking(self) -> Floats:
@@ -122,8 +125,7 @@ def _collect(
     config: FormationConfig, simulation: Simulation, seed: int, rows: list[dict[str, Floats]]
 ) -> Run:
     x = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    measured = np.concatenate([x["planner_e1"], x["planner_e2"], x["planner_ez"]], -1)
-    true = _planner_errors(
+    true_errors = _planner_errors(
         x["p"],
         x["v"],
         x["virtual_p"],
@@ -133,7 +135,6 @@ def _collect(
         np.array(config.offsets),
         config.planner.law(),
     )
-    tracker = np.concatenate([x[f"tracker_e{k}"] for k in (1, 2, 3, 4)], -1)
     return Run(
         config,
         seed,
@@ -145,9 +146,9 @@ def _collect(
         x["estimate"],
         x["virtual_p"],
         x["virtual_v"],
-        measured,
-        true,
-        tracker,
+        {name: x[f"planner_{name}"] for name in ("e1", "e2", "ez")},
+        fields_of(PlanarErrors, true_errors),
+        {name: x[f"tracker_{name}"] for name in ("e1", "e2", "e3", "e4")},
     )
 
 
