@@ -10,22 +10,26 @@ tracker flies and the expert only says how the virtual follower accelerates.
 
 from __future__ import annotations
 
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from baselines.expert_lanes import (
+    OBSERVED,
     ROOM,
     VIRTUAL,
+    Measurements,
     decide,
+    load_observation,
+    load_point,
+    load_virtual,
+    measurements,
     open_room,
     plan_tile,
     planner_law,
-    recall,
-    seen,
     start,
-    take,
+    take_rows,
     waiting,
 )
 from baselines.policy import Policy, Rows
@@ -33,57 +37,66 @@ from formation_env import FormationConfig
 from formation_env._jit import device, kernel
 from formation_env.blocks import LANES, carve
 from formation_env.checks import boolean, choice, refuse
-from formation_env.lanes import load_reference
 from formation_env.memory import Settings, flatten, tiles, unpack
 from formation_env.planner import PlannerLaw, Virtual, errors, plane
 from formation_env.quadrotor import MOMENT
-from formation_env.task import CORE
+from formation_env.records import at, fields, line_storer, size, slices
+from formation_env.references import TrajectoryPoint
+from formation_env.so3 import Vector
 from formation_env.tracker import errors as tracker_errors
 
 Floats = NDArray[np.float64]
 
-# Columns of the record of one decision, for plots.
-RECORD = {
-    "virtual_p": slice(0, 3),  # m, inertial
-    "virtual_v": slice(3, 6),  # m/s
-    "planner_e1": slice(6, 8),  # m, {F} of the virtual follower (7)
-    "planner_e2": slice(8, 10),  # m (11)
-    "planner_ez": slice(10, 11),  # m (32)
-    "tracker_e1": slice(11, 14),  # m (48)
-    "tracker_e2": slice(14, 17),  # m/s (49)
-    "tracker_e3": slice(17, 20),  # (62)
-    "tracker_e4": slice(20, 23),  # rad/s (65)
-    "heading": slice(23, 24),  # rad
-    "speed": slice(24, 25),  # m/s
-    "turn_rate": slice(25, 26),  # rad/s
-}
-_RECORD = 26
+
+class Flown(NamedTuple):
+    """What is recorded of a vehicle and the trajectory that it follows, for plots."""
+
+    virtual_p: Vector  # m, inertial
+    virtual_v: Vector  # m/s
+    tracker_e1: Vector  # m (48)
+    tracker_e2: Vector  # m/s (49)
+    tracker_e3: Vector  # (62)
+    tracker_e4: Vector  # rad/s (65)
+
+
+class Planned(NamedTuple):
+    """What is recorded of a virtual follower."""
+
+    planner_e1: complex  # m, {F} of the virtual follower (7)
+    planner_e2: complex  # m (11)
+    planner_ez: float  # m (32)
+    heading: float  # rad
+    speed: float  # m/s
+    turn_rate: float  # rad/s
+
+
+class Decision(NamedTuple):
+    """What is recorded of one decision of one follower."""
+
+    flown: Flown
+    planned: Planned
+
+
+_store_flown, _store_planned = line_storer(Flown), line_storer(Planned)
+_PLANNED = at(Decision, "planned")
 
 
 @device
-def _note_plan(out: Any, f: Virtual, rows: Any, lane: Any, law: PlannerLaw) -> None:
-    """Fill in what concerns the virtual follower."""
-    s = seen(rows, lane)
-    p = errors(f, plane(s.leader.p), plane(s.leader.v), plane(s.offset), law)
-    out[6], out[7], out[8], out[9] = p.e1.real, p.e1.imag, p.e2.real, p.e2.imag
-    out[10] = s.leader.p[2] - f.z - s.offset[2]
-    out[23], out[24], out[25] = f.theta, f.u, f.omega
-
-
-@device
-def _note_flight(out: Any, rows: Any, refs: Any, lane: Any, s: Settings) -> None:
-    """Fill in what concerns the vehicle and the trajectory that it follows."""
-    ref = load_reference(refs, lane)
+def _flown(m: Measurements, ref: TrajectoryPoint, s: Settings) -> Flown:
     moment = s.world.follower_actuation == MOMENT
-    gains = s.world.tracker if moment else s.world.rates_tracker
-    t = tracker_errors(seen(rows, lane).motion, ref, gains)
-    for k in range(3):
-        out[k], out[3 + k] = ref.p[k], ref.v[k]
-        out[11 + k], out[14 + k], out[17 + k], out[20 + k] = t.e1[k], t.e2[k], t.e3[k], t.e4[k]
+    e = tracker_errors(m.motion, ref, s.world.tracker if moment else s.world.rates_tracker)
+    return Flown(ref.p, ref.v, e.e1, e.e2, e.e3, e.e4)
+
+
+@device
+def _planned(f: Virtual, m: Measurements, law: PlannerLaw) -> Planned:
+    e = errors(f, plane(m.leader.p), plane(m.leader.v), plane(m.offset), law)
+    e_z = m.leader.p[2] - f.z - m.offset[2]
+    return Planned(e.e1, e.e2, e_z, f.theta, f.u, f.omega)
 
 
 @kernel
-def _note(
+def _record(
     rows: Rows,
     memory: Floats,
     settings: Floats,
@@ -93,20 +106,24 @@ def _note(
     space: Floats,
     record: Floats,
 ) -> None:
-    """What `decide` is about to see and to follow, `(N, 26)`; its other arguments, `memory` a copy."""
+    """What `decide` is about to do, a `Decision` in each row; its other arguments, `memory` a copy."""
     s, room = unpack(settings), open_room(space)
     law = planner_law(gains)
     for t in range(len(memory)):
         x = carve(memory, t * VIRTUAL * LANES, (VIRTUAL * LANES,))
-        take(rows, t, CORE, room)
+        take_rows(rows, t, OBSERVED, room)
         if fresh and waiting(x):
             start(room.rows, x)
         own = record[t * LANES : (t + 1) * LANES]
         for lane in range(len(own)):
-            _note_plan(own[lane], recall(x, np.uint64(lane)), room.rows, np.uint64(lane), law)
+            m = measurements(load_observation(room.rows, np.uint64(lane)))
+            f = load_virtual(x, np.uint64(lane))
+            _store_planned(own[lane, _PLANNED:], _planned(f, m, law))
         plan_tile(room, x, s.world.clock.period, law, derived)
         for lane in range(len(own)):
-            _note_flight(own[lane], room.rows, room.refs, np.uint64(lane), s)
+            m = measurements(load_observation(room.rows, np.uint64(lane)))
+            ref = load_point(room.points, np.uint64(lane))
+            _store_flown(own[lane], _flown(m, ref, s))
 
 
 @final
@@ -134,13 +151,13 @@ class Expert(Policy):
         self._keep_record = boolean("keep_record", keep_record)
         self._memory = np.zeros((0, VIRTUAL * LANES))
         self._room = np.zeros(ROOM)
-        self._record = np.zeros((0, _RECORD))
+        self._record = np.zeros((0, size(Decision)))
         self._fresh = True
 
     def begin(self, seeds: NDArray[np.uint64]) -> None:
         rows = len(seeds) * self.config.followers
         self._memory = np.full((tiles(rows), VIRTUAL * LANES), np.nan)
-        self._record = np.zeros((rows if self._keep_record else 0, _RECORD))
+        self._record = np.zeros((rows if self._keep_record else 0, size(Decision)))
         self._fresh = True
 
     def begin_again(self, mask: NDArray[np.bool_]) -> None:
@@ -154,7 +171,7 @@ class Expert(Policy):
         flat, laws = rows.reshape(worlds * n, size), (self._settings, self._gains, self._derived)
         if self._keep_record:
             memory = self._memory.copy()
-            _note(flat, memory, *laws, self._fresh, self._room, self._record)
+            _record(flat, memory, *laws, self._fresh, self._room, self._record)
         self._fresh = decide(flat, self._memory, *laws, self._fresh, self._room, actions)
         return actions.reshape(worlds, n, -1)
 
@@ -177,6 +194,10 @@ class Expert(Policy):
     @property
     def record(self) -> dict[str, Floats]:
         """Errors and virtual followers at the last decision, `(worlds, followers, ...)` each; needs
-        `keep_record=True`. Frames and units as in `RECORD`."""
-        rows = self._record.reshape(-1, self.config.followers, _RECORD)
-        return {name: rows[..., where].copy() for name, where in RECORD.items()}
+        `keep_record=True`. Frames and units as in `Flown` and `Planned`."""
+        rows = self._record.reshape(-1, self.config.followers, size(Decision))
+        named: dict[str, Floats] = {}
+        for part, kind in fields(Decision).items():
+            numbers = rows[..., slices(Decision)[part]]
+            named |= {name: numbers[..., where].copy() for name, where in slices(kind).items()}
+        return named

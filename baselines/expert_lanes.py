@@ -12,105 +12,92 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.actions import acceleration_action, clipped_or_zero, wrench_action
 from baselines.policy import Rows
 from formation_env._jit import device, kernel, loop
 from formation_env.blocks import LANES, carve, gather, reinterpret
 from formation_env.elementary import phase, pick
-from formation_env.feedforward import full_reference
-from formation_env.lanes import at, load_reference, load_vector, put_vector
+from formation_env.feedforward import full_trajectory_point
 from formation_env.memory import unpack
-from formation_env.planner import Leader, PlannerLaw, Virtual, advance, place, reference, scaled
+from formation_env.planner import PlannerLaw, Virtual, advance, place, scaled, trajectory_point
 from formation_env.quadrotor import MOMENT, RATES
+from formation_env.records import define, keeper, line_loader, loader, parts, size, storer
+from formation_env.references import TrajectoryPoint
 from formation_env.slots import in_frame, out_of_frame
-from formation_env.so3 import Vector, add, cross, pick_vector, scale, sub
-from formation_env.task import CORE, GUIDE
+from formation_env.so3 import ZERO, Vector, add, cross, pick_vector, scale, sub
+from formation_env.task import Observation
 from formation_env.tracker import Motion
-from formation_env.world import REFERENCE, Reach, World, track
+from formation_env.world import REFERENCE, Action, Guide, Reach, World, track
 
 Floats = NDArray[np.float64]
 
 _LANES = np.uint64(LANES)
 
-# Rows of a tile: of virtual followers, of their trajectories, of actions, of what is read of rows.
-VIRTUAL, _TRAJECTORY, _ACTION, _READ = 9, 15, 4, CORE + GUIDE
+
+class Guided(NamedTuple):
+    """A follower's row at level REFERENCE, without its neighbours."""
+
+    observation: Observation
+    guide: Guide  # the environment's virtual follower, relative to the vehicle, {F}
+
+
+class Measurements(NamedTuple):
+    """What an observation was made of, in the inertial frame."""
+
+    motion: Motion  # of the vehicle itself
+    leader: TrajectoryPoint  # jerk and snap, which nothing measures, are zero
+    heading: complex  # exp(j theta) of the estimated theta
+    offset: Vector  # d, m, {F}
+    started: bool  # whether the trigger (40) has fired
+
+
+load_observation, load_guided = loader(Observation), loader(Guided)
+load_virtual, keep_virtual = loader(Virtual), keeper(Virtual)
+load_point, _store_point = loader(TrajectoryPoint), storer(TrajectoryPoint)
+_store_action, _store_vector = storer(Action), storer(Vector)
+planner_law = line_loader(PlannerLaw)
+
+# Rows of a tile: of virtual followers, of their trajectories, of actions, of what is read of observations.
+VIRTUAL, _TRAJECTORY, _ACTION = size(Virtual), size(TrajectoryPoint), size(Action)
+OBSERVED, _GUIDED = size(Observation), size(Guided)
 # Where a virtual follower counts as lost: m, rad, m/s, rad/s, m s. Flights stay far below, and the powers
 # of it that the laws take stay far from where float64 ends.
 FAR = 1e6
-# Numbers of room for one tile of each but the first, the rows and a square of them in float32.
-ROOM = (_TRAJECTORY + _ACTION + 1) * LANES + _READ * LANES // 2
+# Numbers of room for one tile of each but the first, the observations and a square of them in float32.
+ROOM = (_TRAJECTORY + _ACTION + 1) * LANES + _GUIDED * LANES // 2
 
 
 class Room(NamedTuple):
     """Where one tile is worked on."""
 
-    refs: Floats  # (15 L,)
-    actions: Floats  # (4 L,)
-    rows: Rows  # (40 L,)
+    points: Floats  # (_TRAJECTORY L,)
+    actions: Floats  # (_ACTION L,)
+    rows: Rows  # (_GUIDED L,)
     starts: NDArray[np.int64]  # (L,): where a piece of each row begins
 
 
-class Seen(NamedTuple):
-    """What an observation row says, back in the inertial frame."""
-
-    motion: Motion  # of the vehicle itself
-    leader: Leader
-    heading: complex  # the estimated one
-    offset: Vector
-    started: bool
-
-
 @device
-def _heading(rows: Any, lane: Any) -> complex:
-    return complex(np.float64(rows[at(21, lane)]), np.float64(rows[at(22, lane)]))
+def measurements(o: Observation) -> Measurements:
+    """The measurements behind an observation, which is a change of frame that is undone here."""
+    R = complex(o.heading[0], o.heading[1])
+    v_L = out_of_frame(R, o.leader_velocity)
+    v = sub(v_L, out_of_frame(R, o.relative_velocity))
+    p_L = add(o.position, out_of_frame(R, add(o.slot_error, o.offset)))
+    r1, r3 = out_of_frame(R, o.body_x), out_of_frame(R, o.body_z)
+    leader = TrajectoryPoint(p_L, v_L, out_of_frame(R, o.leader_acceleration), ZERO, ZERO)
+    motion = Motion(o.position, v, (r1, cross(r3, r1), r3), o.angular_velocity)
+    return Measurements(motion, leader, R, o.offset, o.started > 0.5)
 
 
-@device
-def seen(rows: Any, lane: Any) -> Seen:
-    """The measurements behind a row: the observation is a change of frame, undone here."""
-    R = _heading(rows, lane)
-    d = load_vector(rows, 23, lane)
-    p = load_vector(rows, 31, lane)
-    v_L = out_of_frame(R, load_vector(rows, 6, lane))
-    v = sub(v_L, out_of_frame(R, load_vector(rows, 3, lane)))
-    p_L = add(p, out_of_frame(R, add(load_vector(rows, 0, lane), d)))
-    r1 = out_of_frame(R, load_vector(rows, 12, lane))
-    r3 = out_of_frame(R, load_vector(rows, 15, lane))
-    o = (0.0, 0.0, 0.0)
-    leader = Leader(p_L, v_L, out_of_frame(R, load_vector(rows, 9, lane)), o, o)
-    motion = Motion(p, v, (r1, cross(r3, r1), r3), load_vector(rows, 18, lane))
-    return Seen(motion, leader, R, d, rows[at(30, lane)] > 0.5)
-
-
-@device
-def recall(x: Any, lane: Any) -> Virtual:
-    """The virtual follower of a lane."""
-    p, xi = complex(x[lane], x[at(1, lane)]), complex(x[at(5, lane)], x[at(6, lane)])
-    u = load_vector(x, 2, lane)
-    return Virtual(p, u[0], u[1], u[2], xi, x[at(7, lane)], x[at(8, lane)])
-
-
-@device
-def _remember(x: Any, lane: Any, on: bool, f: Virtual) -> None:
-    """Keep a virtual follower, where wanted."""
-    before = recall(x, lane)
-    x[lane] = pick(on, f.p.real, before.p.real)
-    x[at(1, lane)] = pick(on, f.p.imag, before.p.imag)
-    x[at(2, lane)] = pick(on, f.theta, before.theta)
-    x[at(3, lane)] = pick(on, f.u, before.u)
-    x[at(4, lane)] = pick(on, f.omega, before.omega)
-    x[at(5, lane)] = pick(on, f.xi.real, before.xi.real)
-    x[at(6, lane)] = pick(on, f.xi.imag, before.xi.imag)
-    x[at(7, lane)] = pick(on, f.z, before.z)
-    x[at(8, lane)] = pick(on, f.w, before.w)
-
-
-@device
-def _in_reach(f: Virtual) -> bool:
-    """Whether a virtual follower can be computed with; false for what is not a number, too."""
-    planar = (abs(f.p.real) <= FAR) & (abs(f.p.imag) <= FAR) & (abs(f.theta) <= FAR)
-    moving = (abs(f.u) <= FAR) & (abs(f.omega) <= FAR)
-    summed = (abs(f.xi.real) <= FAR) & (abs(f.xi.imag) <= FAR)
-    return planar & moving & summed & (abs(f.z) <= FAR) & (abs(f.w) <= FAR)
+# Whether a virtual follower can be computed with; false for what is not a number, too.
+_in_reach = device(
+    define(
+        "in_reach",
+        "def in_reach(f):\n    return "
+        + " & ".join(f"(abs(f{path}) <= {FAR!r})" for path, _ in parts(Virtual)),
+        {},
+    )
+)
 
 
 # -- loops over the lanes of a tile ---------------------------------------------------------------
@@ -130,111 +117,109 @@ def start(rows: Any, x: Any) -> None:
     """Put those that wait for it where their errors are null (II-E). Once an episode, so the arc
     tangent may be called."""
     for lane in range(_LANES):
-        s = seen(rows, lane)
-        f = place(s.leader.p, s.leader.v, s.offset, s.heading, s.started)
-        _remember(x, lane, x[lane] != x[lane], f)
+        m = measurements(load_observation(rows, lane))
+        f = place(m.leader.p, m.leader.v, m.offset, m.heading, m.started)
+        keep_virtual(x, lane, x[lane] != x[lane], f)
 
 
 @device
 def _plan(
-    rows: Any, x: Any, lane: Any, h: float, law: PlannerLaw, derived: bool, refs: Any
+    rows: Any, x: Any, lane: Any, h: float, law: PlannerLaw, derived: bool, points: Any
 ) -> None:
-    s, f = seen(rows, lane), recall(x, lane)
-    r = reference(f, s.leader, s.offset, law)
+    m, f = measurements(load_observation(rows, lane)), load_virtual(x, lane)
+    r = trajectory_point(f, m.leader, m.offset, law)
     if derived:
-        r = full_reference(f, s.leader, s.offset, law)
-    o = (0.0, 0.0, 0.0)
-    put_vector(refs, 0, lane, r.p)
-    put_vector(refs, 3, lane, pick_vector(s.started, r.v, o))
-    put_vector(refs, 6, lane, pick_vector(s.started, r.a, o))
-    put_vector(refs, 9, lane, pick_vector(s.started, r.j, o))
-    put_vector(refs, 12, lane, pick_vector(s.started, r.s, o))
-    _remember(x, lane, s.started, advance(f, s.leader, s.offset, h, law))
-    x[lane] = pick(_in_reach(recall(x, lane)), x[lane], np.nan)
+        r = full_trajectory_point(f, m.leader, m.offset, law)
+    at_rest = TrajectoryPoint(
+        r.p,
+        pick_vector(m.started, r.v, ZERO),
+        pick_vector(m.started, r.a, ZERO),
+        pick_vector(m.started, r.j, ZERO),
+        pick_vector(m.started, r.s, ZERO),
+    )
+    _store_point(points, lane, at_rest)
+    keep_virtual(x, lane, m.started, advance(f, m.leader, m.offset, h, law))
+    x[lane] = pick(_in_reach(load_virtual(x, lane)), x[lane], np.nan)
 
 
 @loop
-def plan(rows: Any, x: Any, h: float, law: PlannerLaw, refs: Any) -> None:
+def plan(rows: Any, x: Any, h: float, law: PlannerLaw, points: Any) -> None:
     """The trajectories of the virtual followers now, which then go on by `h` seconds.
 
     They are at rest before the trigger, and then as in (35). One that the observations have driven
     further than can be computed, as a leader at 90 m/s does, waits for a start again.
     """
     for lane in range(_LANES):
-        _plan(rows, x, lane, h, law, False, refs)
+        _plan(rows, x, lane, h, law, False, points)
 
 
 @loop
-def plan_derived(rows: Any, x: Any, h: float, law: PlannerLaw, refs: Any) -> None:
+def plan_derived(rows: Any, x: Any, h: float, law: PlannerLaw, points: Any) -> None:
     """As `plan`, with the third and fourth derivatives."""
     for lane in range(_LANES):
-        _plan(rows, x, lane, h, law, True, refs)
+        _plan(rows, x, lane, h, law, True, points)
 
 
 @device
 def plan_tile(room: Room, x: Any, h: float, law: PlannerLaw, derived: bool) -> None:
     """`plan` or `plan_derived` for the tile in the room."""
     if derived:
-        plan_derived(room.rows, x, h, law, room.refs)
+        plan_derived(room.rows, x, h, law, room.points)
     else:
-        plan(room.rows, x, h, law, room.refs)
+        plan(room.rows, x, h, law, room.points)
 
 
 @device
-def planner_law(gains: Any) -> PlannerLaw:
-    """The law from its numbers in a row."""
-    return PlannerLaw(gains[0], gains[1], gains[2], gains[3], gains[4], gains[5], gains[6])
-
-
-@device
-def _act(rows: Any, refs: Any, lane: Any, actuation: int, world: World, actions: Any) -> None:
+def _act(rows: Any, points: Any, lane: Any, actuation: int, world: World, actions: Any) -> None:
     """The tracker's command in units of the action."""
-    w = track(seen(rows, lane).motion, load_reference(refs, lane), actuation, world)
-    reach = world.reach
-    actions[lane] = _unit(2.0 * w.thrust / reach.thrust - 1.0)
-    actions[at(1, lane)] = _unit(w.turn[0] / reach.turn[0])
-    actions[at(2, lane)] = _unit(w.turn[1] / reach.turn[1])
-    actions[at(3, lane)] = _unit(w.turn[2] / reach.turn[2])
-
-
-@device
-def _unit(a: float) -> float:
-    """Within [-1, 1]; zero, which hovers, for what cannot be computed."""
-    return pick(a == a, min(max(a, -1.0), 1.0), 0.0)
+    motion = measurements(load_observation(rows, lane)).motion
+    wanted = track(motion, load_point(points, lane), actuation, world)
+    a = wrench_action(wanted, world.reach)
+    _store_action(
+        actions,
+        lane,
+        (
+            clipped_or_zero(a[0]),
+            clipped_or_zero(a[1]),
+            clipped_or_zero(a[2]),
+            clipped_or_zero(a[3]),
+        ),
+    )
 
 
 @loop
-def act_by_moment(rows: Any, refs: Any, world: World, actions: Any) -> None:
+def act_by_moment(rows: Any, points: Any, world: World, actions: Any) -> None:
     """Actions of level WRENCH."""
     for lane in range(_LANES):
-        _act(rows, refs, lane, MOMENT, world, actions)
+        _act(rows, points, lane, MOMENT, world, actions)
 
 
 @loop
-def act_by_rates(rows: Any, refs: Any, world: World, actions: Any) -> None:
+def act_by_rates(rows: Any, points: Any, world: World, actions: Any) -> None:
     """Actions of level RATE."""
     for lane in range(_LANES):
-        _act(rows, refs, lane, RATES, world, actions)
+        _act(rows, points, lane, RATES, world, actions)
 
 
 @loop
-def accelerate(rows: Any, x: Any, refs: Any, h: float, reach: Reach, actions: Any) -> None:
+def accelerate(rows: Any, x: Any, points: Any, h: float, reach: Reach, actions: Any) -> None:
     """Actions of level REFERENCE: they take the environment's virtual follower along with ours.
 
     A constant acceleration that matches our velocity at the end of the tick, and removes what is left
     of a difference in position (after a saturated action) with a time constant of half a second.
     """
     for lane in range(_LANES):
-        s, after = seen(rows, lane), recall(x, lane)
-        guide_p = add(s.motion.p, out_of_frame(s.heading, load_vector(rows, CORE, lane)))
-        guide_v = add(s.motion.v, out_of_frame(s.heading, load_vector(rows, CORE + 3, lane)))
+        o, after = load_guided(rows, lane), load_virtual(x, lane)
+        m = measurements(o.observation)
+        guide_p = add(m.motion.p, out_of_frame(m.heading, o.guide.p))
+        guide_v = add(m.motion.v, out_of_frame(m.heading, o.guide.v))
         v = scaled(after.u, phase(after.theta))
         wanted = sub((v.real, v.imag, after.w), guide_v)
-        a = add(scale(1.0 / h, wanted), scale(2.0, sub(load_vector(refs, 0, lane), guide_p)))
-        b = in_frame(s.heading, a)
-        actions[lane] = _unit(b[0] / reach.acceleration[0])
-        actions[at(1, lane)] = _unit(b[1] / reach.acceleration[1])
-        actions[at(2, lane)] = _unit(b[2] / reach.acceleration[2])
+        behind = sub(load_point(points, lane).p, guide_p)
+        a = in_frame(m.heading, add(scale(1.0 / h, wanted), scale(2.0, behind)))
+        b = acceleration_action(a, reach)
+        action = (clipped_or_zero(b[0]), clipped_or_zero(b[1]), clipped_or_zero(b[2]))
+        _store_vector(actions, lane, action)
 
 
 # -- tiles ----------------------------------------------------------------------------------------
@@ -249,13 +234,13 @@ def open_room(room: Floats) -> Room:
     return Room(
         carve(room, 0, (a,)),
         carve(room, a, (_ACTION * LANES,)),
-        reinterpret(carve(room, c, (_READ * LANES // 2,)), np.float32),
+        reinterpret(carve(room, c, (_GUIDED * LANES // 2,)), np.float32),
         reinterpret(carve(room, b, (LANES,)), np.int64),
     )
 
 
 @device
-def take(rows: Rows, t: int, entries: int, room: Room) -> None:
+def take_rows(rows: Rows, t: int, entries: int, room: Room) -> None:
     """The first `entries` columns of the rows of tile `t`; past the end the last row again.
 
     Whole squares are turned; what is left goes number by number.
@@ -270,7 +255,7 @@ def take(rows: Rows, t: int, entries: int, room: Room) -> None:
     for lane in range(_LANES):
         a = np.uint64(min(t * LANES + np.int64(lane), count - 1) * size)
         for j in range(left, np.uint64(entries)):
-            room.rows[at(j, lane)] = flat[a + j]
+            room.rows[j * _LANES + lane] = flat[a + j]
 
 
 @kernel
@@ -287,27 +272,27 @@ def decide(
     """One decision for every row `(N, entries)`; `fresh` if a virtual follower may wait for its start.
     Returns whether one does for the next decision.
 
-    `memory` `(tiles, 9 L)` are the virtual followers, first number NaN where an episode begins; `space`
+    `memory` `(tiles, VIRTUAL L)` are the virtual followers, first number NaN where an episode begins; `space`
     of `ROOM` numbers is overwritten.
     """
     s, room = unpack(settings), open_room(space)
     law = planner_law(gains)
     h, level = s.world.clock.period, s.world.level
-    entries = CORE + GUIDE if level == REFERENCE else CORE
+    entries = _GUIDED if level == REFERENCE else OBSERVED
     any_waits = False
     for t in range(len(memory)):
         x = carve(memory, t * VIRTUAL * LANES, (VIRTUAL * LANES,))
-        take(rows, t, entries, room)
+        take_rows(rows, t, entries, room)
         if fresh and waiting(x):
             start(room.rows, x)
         plan_tile(room, x, h, law, derived)
         any_waits = waiting(x) or any_waits
         if level == REFERENCE:
-            accelerate(room.rows, x, room.refs, h, s.world.reach, room.actions)
+            accelerate(room.rows, x, room.points, h, s.world.reach, room.actions)
         elif s.world.follower_actuation == MOMENT:
-            act_by_moment(room.rows, room.refs, s.world, room.actions)
+            act_by_moment(room.rows, room.points, s.world, room.actions)
         else:
-            act_by_rates(room.rows, room.refs, s.world, room.actions)
+            act_by_rates(room.rows, room.points, s.world, room.actions)
         for lane in range(min(LANES, len(rows) - t * LANES)):
             for k in range(actions.shape[1]):
                 actions[t * LANES + lane, k] = room.actions[k * LANES + lane]

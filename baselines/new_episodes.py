@@ -24,25 +24,19 @@ from numpy.typing import NDArray
 from formation_env import FormationConfig
 from formation_env._jit import device, kernel
 from formation_env.quadrotor import GRAVITY
+from formation_env.records import at, line_loader, size
 from formation_env.slots import out_of_frame
 from formation_env.so3 import Vector, sub
-from formation_env.task import ANYWHERE, RATE_BOUND, Layout
-from formation_env.world import WRENCH
+from formation_env.task import ANYWHERE, RATE_BOUND, Observation
 
 Rows = NDArray[np.float32]
 
 NEW, DOUBTFUL = 1, 2  # bits of what `compare` returns
 
 # Columns of an observation row, the same at every action level.
-_ENTRIES = Layout(WRENCH, 0).slices
-_RELATIVE = _ENTRIES["relative_velocity"].start
-_LEADER = _ENTRIES["leader_velocity"].start
-_HEADING = _ENTRIES["heading"].start
-_OFFSET = _ENTRIES["offset"].start
-_PREVIOUS = _ENTRIES["previous_action"].start
-_STARTED = _ENTRIES["started"].start
-_POSITION = _ENTRIES["position"].start
-_NOTED = _ENTRIES["position"].stop  # so many of a world's first follower are kept
+_PREVIOUS, _STARTED = at(Observation, "previous_action"), at(Observation, "started")
+_NOTED = size(Observation)  # so many of a world's first follower are kept
+_read = line_loader(Observation)
 
 _DEVIATIONS = 6.8  # of noise: `rng.normals` never gives more
 _ROUNDING = 1e-6  # of float32, relative
@@ -78,35 +72,35 @@ def motion(config: FormationConfig) -> Motion:
 
 
 @device
-def _vector(row: Any, k: int) -> Vector:
-    return (np.float64(row[k]), np.float64(row[k + 1]), np.float64(row[k + 2]))
+def _heading(o: Observation) -> complex:
+    return complex(o.heading[0], o.heading[1])
 
 
 @device
-def _heading(row: Any) -> complex:
-    return complex(np.float64(row[_HEADING]), np.float64(row[_HEADING + 1]))
+def _saturates(a: Vector) -> bool:
+    """Whether a component of an observed velocity is clipped."""
+    return max(abs(a[0]), abs(a[1]), abs(a[2])) >= RATE_BOUND
 
 
 @device
-def _velocity(row: Any) -> Vector:
+def _velocity(o: Observation) -> Vector:
     """A follower's own velocity, m/s, inertial; infinite where the observation saturates."""
-    for k in range(_RELATIVE, _LEADER + 3):
-        if abs(row[k]) >= RATE_BOUND:
-            return (inf, inf, inf)
-    return out_of_frame(_heading(row), sub(_vector(row, _LEADER), _vector(row, _RELATIVE)))
+    if _saturates(o.relative_velocity) or _saturates(o.leader_velocity):
+        return (inf, inf, inf)
+    return out_of_frame(_heading(o), sub(o.leader_velocity, o.relative_velocity))
 
 
 @device
-def _fastest(row: Any) -> float:
+def _fastest(o: Observation) -> float:
     """The larger component of the leader's velocity in the plane, m/s."""
-    return max(abs(np.float64(row[_LEADER])), abs(np.float64(row[_LEADER + 1])))
+    return max(abs(o.leader_velocity[0]), abs(o.leader_velocity[1]))
 
 
 @device
-def _at_rest(row: Any) -> bool:
+def _at_rest(o: Observation) -> bool:
     """Whether a follower's previous action is exactly zero."""
-    a, b, c, d = row[_PREVIOUS], row[_PREVIOUS + 1], row[_PREVIOUS + 2], row[_PREVIOUS + 3]
-    return bool(a == 0.0 and b == 0.0 and c == 0.0 and d == 0.0)
+    a, b, c, d = o.previous_action
+    return a == 0.0 and b == 0.0 and c == 0.0 and d == 0.0
 
 
 @device
@@ -114,30 +108,25 @@ def _all_at_rest(rows: Any) -> bool:
     """The same of all followers of a world."""
     resting = True
     for row in rows:
-        resting = resting and _at_rest(row)
+        resting = resting and _at_rest(_read(row))
     return resting
 
 
 @device
-def _turned(before: Any, row: Any, m: Motion) -> bool:
+def _turned(before: Observation, now: Observation, m: Motion) -> bool:
     """Whether the heading turned by more than the zero dynamics (23) can, `h |v_L| / d_x`."""
-    fastest, d_x = max(_fastest(before), _fastest(row)), np.float64(row[_OFFSET])
+    fastest, d_x = max(_fastest(before), _fastest(now)), now.offset[0]
     if fastest >= RATE_BOUND or not d_x > 0.0:
         return False
     most = sqrt(2.0) * m.period * fastest / d_x
     # A chord is shorter than its arc.
-    return bool(abs(_heading(before) - _heading(row)) > 1.01 * most + 10.0 * _ROUNDING)
+    return bool(abs(_heading(before) - _heading(now)) > 1.01 * most + 10.0 * _ROUNDING)
 
 
 @device
-def _jumped(before: Any, row: Any, m: Motion) -> bool:
+def _jumped(before: Observation, now: Observation, m: Motion) -> bool:
     """Whether a vehicle is where neither its velocity before nor the one after can have taken it."""
-    p0, v0, p1, v1 = (
-        _vector(before, _POSITION),
-        _velocity(before),
-        _vector(row, _POSITION),
-        _velocity(row),
-    )
+    p0, v0, p1, v1 = before.position, _velocity(before), now.position, _velocity(now)
     for k in range(3):
         if abs(p1[k]) >= ANYWHERE or not abs(v0[k]) + abs(v1[k]) < inf:
             return False
@@ -152,33 +141,33 @@ def _jumped(before: Any, row: Any, m: Motion) -> bool:
 
 
 @device
-def _began(before: Any, row: Any, m: Motion) -> bool:
-    """Whether a first follower that sees `row` after `before` cannot have flown from there to here."""
-    unfired = before[_STARTED] > 0.5 and row[_STARTED] <= 0.5
-    return unfired or _turned(before, row, m) or _jumped(before, row, m)
+def _began(before: Observation, now: Observation, m: Motion) -> bool:
+    """Whether a first follower cannot have flown from where `before` was observed to where `now` was."""
+    unfired = before.started > 0.5 and now.started <= 0.5
+    return unfired or _turned(before, now, m) or _jumped(before, now, m)
 
 
 @kernel
 def compare(rows: Rows, notes: Rows, m: Motion, began: NDArray[np.bool_]) -> int:
-    """Mark the worlds that began anew, and note what their first followers see now.
+    """Mark the worlds that began anew, and note the observations of their first followers.
 
-    `rows` `(worlds, followers, entries)`; `notes` `(worlds, _NOTED)` are the first followers' rows before,
-    up to the position, with NaN for the trigger where there are none. Returns the bits `NEW` and
+    `rows` `(worlds, followers, entries)`; `notes` `(worlds, _NOTED)` are the first followers' observations
+    before, without neighbours, with NaN for the trigger where there are none. Returns the bits `NEW` and
     `DOUBTFUL` of all worlds together.
     """
     found = 0
     for w in range(len(rows)):
         began[w] = False
         # Most worlds are in flight, which one number tells: views on a world cost more than all the rest.
-        if rows[w, 0, _PREVIOUS] == 0.0 and notes[w, _STARTED] == notes[w, _STARTED]:
-            before, row = notes[w], rows[w, 0]
-            if _all_at_rest(rows[w]):
-                acted, waits = not _at_rest(before), before[_STARTED] <= 0.5
-                began[w] = _began(before, row, m) or (acted and waits)
-                if began[w]:
-                    found |= NEW
-                elif acted:
-                    found |= DOUBTFUL
+        flies = rows[w, 0, _PREVIOUS] != 0.0 or notes[w, _STARTED] != notes[w, _STARTED]
+        if not flies and _all_at_rest(rows[w]):
+            before, now = _read(notes[w]), _read(rows[w, 0])
+            acted, waits = not _at_rest(before), before.started <= 0.5
+            began[w] = _began(before, now, m) or (acted and waits)
+            if began[w]:
+                found |= NEW
+            elif acted:
+                found |= DOUBTFUL
         for k in range(_NOTED):
             notes[w, k] = rows[w, 0, k]
     return found

@@ -7,10 +7,11 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.actions import acceleration_action, clipped, wrench_action
 from baselines.policy import Policy, Rows
 from formation_env import FormationConfig
-from formation_env._jit import kernel
-from formation_env.quadrotor import GRAVITY, MOMENT
+from formation_env._jit import kernel, plain
+from formation_env.quadrotor import GRAVITY, MOMENT, Wrench
 from formation_env.rng import POLICY, uniforms
 
 Floats = NDArray[np.float64]
@@ -99,40 +100,45 @@ class Pd(Policy):
         pass
 
     def decide(self, rows: Rows) -> Rows:
-        seen = self.layout.unpack(rows.astype(np.float64))
-        wanted = _wanted(seen)
+        entries = self.layout.unpack(rows.astype(np.float64))
+        wanted, reach = _wanted(entries), self.config.world.reach
         if self.config.action == "reference":
-            actions = wanted / np.array(self.config.reference_max)
+            action: Any = plain(acceleration_action)(_components(wanted), reach)
         else:
-            actions = self._fly(seen, wanted)
-        return np.asarray(np.clip(actions, -1.0, 1.0), dtype=np.float32)
+            action = plain(wrench_action)(self._wrench(entries, wanted), reach)
+        return clipped(np.stack(action, axis=-1, dtype=np.float32))
 
-    def _fly(self, seen: dict[str, Floats], wanted: Floats) -> Floats:
-        """Thrust and turning that accelerate the vehicle by `wanted` (m/s^2, {F})."""
-        world, vehicle = self.config.world, self.config.vehicle
-        body_x, body_z = seen["body_x"], seen["body_z"]
+    def _wrench(self, entries: dict[str, Floats], wanted: Floats) -> Wrench:
+        """Thrust and turn that accelerate the vehicle by `wanted` (m/s^2, {F}), as arrays."""
+        vehicle = self.config.vehicle
+        body_x, body_z = entries["body_x"], entries["body_z"]
         pull = np.array((0.0, 0.0, GRAVITY)) - wanted
         thrust = vehicle.mass * _dot(pull, body_z)
         tilt = _cross(body_z, pull / np.sqrt(_dot(pull, pull))[..., None])
         # Along the body axes x and y; the yaw angle is free, so only its rate is damped.
-        angle = np.stack(
-            (_dot(body_x, tilt), _dot(_cross(body_z, body_x), tilt), np.zeros_like(thrust)), axis=-1
-        )
+        yaw = np.zeros_like(thrust)
+        angles = (_dot(body_x, tilt), _dot(_cross(body_z, body_x), tilt), yaw)
+        turn: Any
         if self.config.follower_actuation == MOMENT:
-            angular = _ATTITUDE * angle - _RATE * seen["angular_velocity"]
-            turn = np.array(vehicle.inertia) * angular
+            rates = _components(entries["angular_velocity"])
+            inertia = zip(vehicle.inertia, angles, rates, strict=True)
+            turn = tuple(J * (_ATTITUDE * angle - _RATE * w) for J, angle, w in inertia)
         else:
-            turn = _TURNING / vehicle.rate_lag * angle
-        lift = 2.0 * thrust / world.reach.thrust - 1.0
-        return np.concatenate((lift[..., None], turn / np.array(world.reach.turn)), axis=-1)
+            turn = tuple(_TURNING / vehicle.rate_lag * angle for angle in angles)
+        return Wrench(thrust, turn)
 
 
-def _wanted(seen: dict[str, Floats]) -> Floats:
+def _components(a: Floats) -> Any:
+    """Vectors `(..., 3)` as a tuple of their components."""
+    return tuple(np.moveaxis(a, -1, 0))
+
+
+def _wanted(entries: dict[str, Floats]) -> Floats:
     """The acceleration of the position loop, limited, m/s^2 in {F}."""
-    e = seen["slot_error"]
-    ev = seen["relative_velocity"] - (1.0 - seen["started"]) * seen["leader_velocity"]
-    if "guide_position" in seen:
-        e, ev = e - seen["guide_position"], ev - seen["guide_velocity"]
+    e = entries["slot_error"]
+    ev = entries["relative_velocity"] - (1.0 - entries["started"]) * entries["leader_velocity"]
+    if "guide_position" in entries:
+        e, ev = e - entries["guide_position"], ev - entries["guide_velocity"]
     a = _POSITION * e + _VELOCITY * ev
     sideways = np.sqrt(a[..., 0] * a[..., 0] + a[..., 1] * a[..., 1])
     a[..., :2] *= (_SIDEWAYS / np.maximum(sideways, _SIDEWAYS))[..., None]

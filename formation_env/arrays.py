@@ -22,7 +22,7 @@ from formation_env.sensors import Measured, silent
 from formation_env.shuffles import carve
 from formation_env.store import Floats, Store, size_reader
 from formation_env.task import Limits, Outcome, Rewards
-from formation_env.trajectories import Reference
+from formation_env.trajectories import TrajectoryPoint
 from formation_env.turning import Turning, turning
 from formation_env.world import Action, World, every_tick
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 EXACT, EVERY_TICK, WHEN_DUE = range(3)
 
 # Numbers of a line of the leader's reference: p, v, a, j, s and one that makes it a whole vector.
-LINE = size(Reference) + 1
+LINE = size(TrajectoryPoint) + 1
 SIGHT = 8  # numbers of a vehicle in `points`: p, v and two that make it a whole vector
 
 

@@ -2,7 +2,7 @@
 
 The tracker wants a reference of class C4; (35) gives two derivatives. The other two follow from
 differentiating the law (21) along its own motion, once and twice, given the leader's jerk and snap.
-The paper's experiment set them to zero instead, which is `planner.reference`.
+The paper's experiment set them to zero instead, which is `planner.trajectory_point`.
 """
 
 from __future__ import annotations
@@ -10,19 +10,22 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from formation_env._jit import device
-from formation_env.elementary import phase, pick, tanh
+from formation_env.elementary import phase, pick
 from formation_env.planner import (
-    Leader,
     PlannerLaw,
     Virtual,
-    climb,
     each,
-    errors,
-    gamma_solve,
+    in_motion,
+    mu,
     plane,
+    saturation,
+    saturation_slope,
+    scaled,
+    spin,
+    trajectory_point,
 )
+from formation_env.references import TrajectoryPoint
 from formation_env.so3 import Vector
-from formation_env.trajectories import Reference
 
 
 class Actuation(NamedTuple):
@@ -37,85 +40,78 @@ class Actuation(NamedTuple):
 
 
 @device
-def _slopes(x: float, p_max: float) -> tuple[float, float, float]:
-    """First three derivatives of `p_max tanh(x / p_max)` (10)."""
-    t = tanh(x / p_max)
-    s1 = 1.0 - t * t
-    s2 = -2.0 * t * s1 / p_max
-    return s1, s2, -2.0 / p_max * (s1 * s1 / p_max + t * s2)
+def _spin_dot(w: float, w1: float, a: complex, a1: complex) -> complex:
+    """First time derivative of `S(w) a`; a figure behind a name counts its derivatives."""
+    return spin(w1, a) + spin(w, a1)
 
 
 @device
-def actuation(f: Virtual, leader: Leader, d: Vector, law: PlannerLaw) -> Actuation:
+def _spin_ddot(w: float, w1: float, w2: float, a: complex, a1: complex, a2: complex) -> complex:
+    """Second time derivative of `S(w) a`."""
+    return spin(w2, a) + scaled(2.0, spin(w1, a1)) + spin(w, a2)
+
+
+@device
+def actuation(f: Virtual, leader: TrajectoryPoint, d: Vector, law: PlannerLaw) -> Actuation:
     """`mu` of (21) and its derivatives along the closed loop.
 
-    With `V = R^T p_L_dot`, so that `delta = V_dot` (16), and primes for time derivatives:
+    The law is linear in its terms: with their time derivatives in their places it gives those of `mu`.
+    In {F}, with `V = R^T p_L_dot`, `A = R^T p_L_ddot`, `J` and `S` alike and `y = e1 + d`,
 
-        Gamma mu   = V'   + k1 sigma'   + k1^2 k2 e2   + k1 k3 xi
-        Gamma mu'  = V''  + k1 sigma''  + k1^2 k2 e2'  + k1 k3 e2
-        Gamma mu'' = V''' + k1 sigma''' + k1^2 k2 e2'' + k1 k3 e2'
+        V_dot = delta = A - S(omega) V,   A_dot = J - S(omega) A,   J_dot = S - S(omega) J
+        e1_dot = V - u i - S(omega) y,    e2_dot = -k1 k2 e2 - k3 xi,    xi_dot = e2
 
-    where `e2' = -k1 k2 e2 - k3 xi`. Each line's right side needs the actuation of the lines above.
+    and `sigma_dot = sigma' e1_dot` where `sigma'` of (10) is `1 - sigma^2 / p_max^2`. Their further
+    derivatives need `omega_dot = tau` and `u_dot = T`, which the derivative before has given.
     """
     w, dc = f.omega, plane(d)
+    m = in_motion(f, plane(leader.p), plane(leader.v), plane(leader.a), dc, law)
+    T, tau = mu(m.delta, m.sigma_dot, m.e2, f.xi, dc, law)
+
     Rt = phase(f.theta).conjugate()
-    V, A = Rt * plane(leader.v), Rt * plane(leader.a)
-    J, S = Rt * plane(leader.j), Rt * plane(leader.s)
-    k1, k2, k3 = law.k1, law.k2, law.k3
-    e1, e2 = errors(f, plane(leader.p), plane(leader.v), dc, law)
-    x1, x2, x3 = _slopes(e1.real, law.p_max)
-    y1, y2, y3 = _slopes(e1.imag, law.p_max)
-    s1, s2, s3 = complex(x1, y1), complex(x2, y2), complex(x3, y3)
-    e2_1 = -k1 * k2 * e2 - k3 * f.xi
-    e2_2 = -k1 * k2 * e2_1 - k3 * e2
+    A, J, S = Rt * plane(leader.a), Rt * plane(leader.j), Rt * plane(leader.s)
+    A1, J1 = J - spin(w, A), S - spin(w, J)
+    V, V1 = m.V, m.delta
+    V2 = A1 - _spin_dot(w, tau, V, V1)
+    y, y1 = m.e1 + dc, m.e1_dot
+    y2 = V1 - T - _spin_dot(w, tau, y, y1)
+    bend = -2.0 / law.p_max**2
+    sigma, sigma1 = saturation(m.e1, law.p_max), m.sigma_dot
+    slope = saturation_slope(m.e1, law.p_max)
+    slope1 = scaled(bend, each(sigma, sigma1))
+    sigma2 = each(slope1, y1) + each(slope, y2)
+    e2_dot = scaled(-law.k1 * law.k2, m.e2) - scaled(law.k3, f.xi)
+    T1, tau1 = mu(V2, sigma2, e2_dot, m.e2, dc, law)
 
-    V1 = -1j * w * V + A
-    e1_1 = -1j * w * (e1 + dc) + V - f.u
-    T, tau = gamma_solve(V1 + k1 * each(s1, e1_1) + k1 * k1 * k2 * e2 + k1 * k3 * f.xi, dc)
-
-    A1 = -1j * w * A + J
-    V2 = -1j * tau * V - 1j * w * V1 + A1
-    e1_2 = -1j * tau * (e1 + dc) - 1j * w * e1_1 + V1 - T
-    sigma_2 = each(s2, each(e1_1, e1_1)) + each(s1, e1_2)
-    T1, tau1 = gamma_solve(V2 + k1 * sigma_2 + k1 * k1 * k2 * e2_1 + k1 * k3 * e2, dc)
-
-    A2 = -1j * tau * A - 1j * w * A1 - 1j * w * J + S
-    V3 = -1j * tau1 * V - 2j * tau * V1 - 1j * w * V2 + A2
-    e1_3 = -1j * tau1 * (e1 + dc) - 2j * tau * e1_1 - 1j * w * e1_2 + V2 - T1
-    sigma_3 = (
-        each(s3, each(e1_1, each(e1_1, e1_1))) + 3.0 * each(s2, each(e1_1, e1_2)) + each(s1, e1_3)
-    )
-    T2, tau2 = gamma_solve(V3 + k1 * sigma_3 + k1 * k1 * k2 * e2_2 + k1 * k3 * e2_1, dc)
+    A2 = J1 - _spin_dot(w, tau, A, A1)
+    V3 = A2 - _spin_ddot(w, tau, tau1, V, V1, V2)
+    y3 = V2 - T1 - _spin_ddot(w, tau, tau1, y, y1, y2)
+    slope2 = scaled(bend, each(sigma1, sigma1) + each(sigma, sigma2))
+    sigma3 = each(slope2, y1) + scaled(2.0, each(slope1, y2)) + each(slope, y3)
+    e2_ddot = scaled(-law.k1 * law.k2, e2_dot) - scaled(law.k3, m.e2)
+    T2, tau2 = mu(V3, sigma3, e2_ddot, e2_dot, dc, law)
     return Actuation(T, tau, T1, tau1, T2, tau2)
 
 
 @device
-def full_reference(f: Virtual, leader: Leader, d: Vector, law: PlannerLaw) -> Reference:
-    """The trajectory of a virtual follower with four derivatives, all in closed form.
+def full_trajectory_point(
+    f: Virtual, leader: TrajectoryPoint, d: Vector, law: PlannerLaw
+) -> TrajectoryPoint:
+    """`planner.trajectory_point` with the third and fourth derivatives, all in closed form.
 
     The leader's jerk and snap enter; the vertical ones are zero while (34) saturates.
     """
-    m = actuation(f, leader, d, law)
-    w, u = f.omega, f.u
-    R = phase(f.theta)
+    r, m = trajectory_point(f, leader, d, law), actuation(f, leader, d, law)
+    w, u, R = f.omega, f.u, phase(f.theta)
+    # R^T times the third and the fourth, from (35): R^T times the first is u i.
     third = complex(m.T_dot - w * w * u, 2.0 * w * m.T + m.tau * u)
-    fourth = 1j * w * third + complex(
+    fourth = spin(w, third) + complex(
         m.T_ddot - 2.0 * w * m.tau * u - w * w * m.T,
         3.0 * m.tau * m.T + 2.0 * w * m.T_dot + m.tau_dot * u,
     )
-    v = R * u
-    a = R * complex(m.T, w * u)
-    j = R * third
-    s = R * fourth
-    a_z = climb(f, leader, d[2], law)
+    j, s, a_z = R * third, R * fourth, r.a[2]
     free = abs(a_z) < law.z_max
     e_a = leader.a[2] - a_z
     j_z = pick(free, leader.j[2] + law.kz1 * (leader.v[2] - f.w) + law.kz2 * e_a, 0.0)
     s_z = pick(free, leader.s[2] + law.kz1 * e_a + law.kz2 * (leader.j[2] - j_z), 0.0)
-    return Reference(
-        (f.p.real, f.p.imag, f.z),
-        (v.real, v.imag, f.w),
-        (a.real, a.imag, a_z),
-        (j.real, j.imag, j_z),
-        (s.real, s.imag, s_z),
-    )
+    return TrajectoryPoint(r.p, r.v, r.a, (j.real, j.imag, j_z), (s.real, s.imag, s_z))

@@ -125,6 +125,6 @@ def _store(gains: Any, group: str, name: str, low: float, strict: bool = True) -
 
 
 # For vehicles driven by rates. The paper's experiment used another tracker ([9]), whose gains it does
-# not print. III-C's own `k3` and `p11` make the loop of `tracker.rates` so stiff that measurements and
+# not print. III-C's own `k3` and `p11` make the loop of `tracker.rate_command` so stiff that measurements and
 # commands 20 ms old shake it; these keep III-C's `k1` and `k2`.
 RATES_GAINS = TrackerGains(k3=20.0, p11=0.3)

@@ -21,10 +21,10 @@ from formation_env.so3 import Vector
 from formation_env.store import Floats
 from formation_env.threads import await_ticket, claim, report, settle
 from formation_env.tick import tick
-from formation_env.trajectories import Reference, evaluate
+from formation_env.trajectories import TrajectoryPoint, evaluate
 
 _OVER = at(Counters, "over") * LANES
-_write_point, _write_reference = line_storer(Vector), line_storer(Reference)
+_write_point, _write_reference = line_storer(Vector), line_storer(TrajectoryPoint)
 
 
 @step

@@ -16,7 +16,7 @@ from formation_env.sensors import Measured
 from formation_env.slots import Slot, in_frame, out_of_frame
 from formation_env.so3 import Vector, add_scaled, pick_vector, sub
 from formation_env.tiles import over_lanes
-from formation_env.trajectories import Reference
+from formation_env.trajectories import TrajectoryPoint
 from formation_env.world import NEAR, RATE_BOUND, Action, World, follow
 
 # -- direct levels ----------------------------------------------------------------------------------------
@@ -72,14 +72,14 @@ class GuideView(NamedTuple):
 
 
 @device
-def guided(action: Action, guide: Guide, R: complex, world: World) -> Reference:
+def guided(action: Action, guide: Guide, R: complex, world: World) -> TrajectoryPoint:
     """The trajectory of a virtual follower that the action accelerates; no jerk, no snap.
 
     `R` is the heading that the follower estimates: the action is in its formation frame.
     """
     s = world.reach.acceleration
     a = out_of_frame(R, (s[0] * action[0], s[1] * action[1], s[2] * action[2]))
-    return Reference(guide.p, guide.v, a, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    return TrajectoryPoint(guide.p, guide.v, a, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 @device
@@ -93,7 +93,7 @@ _load_measured = loader(Measured)
 
 
 @device
-def follow_own(lane: Any, ref: Reference, own: Any, world: World, actuation: int) -> Wrench:
+def follow_own(lane: Any, ref: TrajectoryPoint, own: Any, world: World, actuation: int) -> Wrench:
     """`follow`, of a measurement in one lane of a tile."""
     return follow(ref, _load_measured(own, lane), world, actuation)
 

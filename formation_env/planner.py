@@ -19,8 +19,9 @@ from typing import NamedTuple
 
 from formation_env._jit import device
 from formation_env.elementary import phase, tanh
+from formation_env.references import TrajectoryPoint
+from formation_env.runge_kutta import runge_kutta
 from formation_env.so3 import Vector
-from formation_env.trajectories import Reference
 
 
 class PlannerLaw(NamedTuple):
@@ -35,16 +36,6 @@ class PlannerLaw(NamedTuple):
     z_max: float  # m/s^2, level of the saturation (34)
 
 
-class Leader(NamedTuple):
-    """What a follower knows of the leader; jerk and snap are zero where nobody knows them."""
-
-    p: Vector  # m, inertial
-    v: Vector  # m/s
-    a: Vector  # m/s^2
-    j: Vector  # m/s^3
-    s: Vector  # m/s^4
-
-
 class Virtual(NamedTuple):
     """State of a virtual follower."""
 
@@ -55,6 +46,17 @@ class Virtual(NamedTuple):
     xi: complex  # integral of e2, m s
     z: float  # height coordinate, m, down
     w: float  # its rate, m/s
+
+
+class PlanarMotion(NamedTuple):
+    """How leader and errors move in the frame {F} of the virtual follower."""
+
+    V: complex  # R^T p_L_dot, m/s
+    delta: complex  # its rate (16), m/s^2
+    e1: complex  # (7), m
+    e1_dot: complex  # m/s
+    sigma_dot: complex  # rate of sigma(e1), m/s
+    e2: complex  # (11), m
 
 
 class PlanarErrors(NamedTuple):
@@ -122,23 +124,12 @@ def errors(f: Virtual, p_L: complex, v_L: complex, d: complex, law: PlannerLaw) 
 
 
 @device
-def control(
+def in_motion(
     f: Virtual, p_L: complex, v_L: complex, a_L: complex, d: complex, law: PlannerLaw
-) -> tuple[float, float]:
-    """The actuation `(T, tau)` of a virtual follower (21), (39); m/s^2 and rad/s^2.
+) -> PlanarMotion:
+    """The leader's velocity and the errors, all in {F}, with their rates along the motion (2)-(5).
 
-        mu = Gamma^-1 (delta + k1 sigma_dot(e1) + k1^2 k2 e2 + k1 k3 xi)
-        delta = -S(omega) R^T p_L_dot + R^T p_L_ddot                         (16)
-
-    `delta` is the time derivative of `R^T p_L_dot`, `sigma_dot(e1) = sigma'(e1) e1_dot` is taken along
-    the motion, `e1_dot = -S(omega)(e1 + d) + R^T p_L_dot - u i`. The terms cancel everything in
-    `e2_dot` but a linear system:
-
-        e2_dot = -k1 k2 e2 - k3 xi
-
-    (the paper prints `k1 k3 xi`; with (11) and (21) the factor is `k3`, see the errata). So `e2` and
-    `xi` go to zero exponentially and `e1` follows, from any start (theorem 1, with `k1 > 0`, `k2 > 1`,
-    `k3 > 0`). It fails for `d_x = 0`, where turning no longer moves the leader sideways in {F}.
+    Components in a frame that turns at `omega` change as `d/dt (R^T a) = -S(omega) R^T a + R^T a_dot`.
     """
     Rt = phase(f.theta).conjugate()
     e1, e2 = errors(f, p_L, v_L, d, law)
@@ -146,13 +137,45 @@ def control(
     delta = -spin(f.omega, V) + Rt * a_L
     e1_dot = -spin(f.omega, e1 + d) + V - f.u
     sigma_dot = each(saturation_slope(e1, law.p_max), e1_dot)
+    return PlanarMotion(V, delta, e1, e1_dot, sigma_dot, e2)
+
+
+@device
+def mu(
+    delta: complex, sigma_dot: complex, e2: complex, xi: complex, d: complex, law: PlannerLaw
+) -> tuple[float, float]:
+    """The law (21): `mu = (T, tau)`, m/s^2 and rad/s^2, from the four terms that it adds.
+
+        mu = Gamma^-1 (delta + k1 sigma_dot(e1) + k1^2 k2 e2 + k1 k3 xi)
+
+    It is linear with constant coefficients: of the terms' time derivatives it makes those of `mu`.
+    """
     nu = delta + scaled(law.k1, sigma_dot)
-    nu += scaled(law.k1**2 * law.k2, e2) + scaled(law.k1 * law.k3, f.xi)
+    nu += scaled(law.k1**2 * law.k2, e2) + scaled(law.k1 * law.k3, xi)
     return gamma_solve(nu, d)
 
 
 @device
-def climb(f: Virtual, leader: Leader, d_z: float, law: PlannerLaw) -> float:
+def control(
+    f: Virtual, p_L: complex, v_L: complex, a_L: complex, d: complex, law: PlannerLaw
+) -> tuple[float, float]:
+    """The actuation `(T, tau)` of a virtual follower (21), (39); m/s^2 and rad/s^2.
+
+    `mu` of the follower's own motion, with `delta = -S(omega) R^T p_L_dot + R^T p_L_ddot` (16) and
+    `sigma_dot(e1) = sigma'(e1) e1_dot`. The terms cancel everything in `e2_dot` but a linear system:
+
+        e2_dot = -k1 k2 e2 - k3 xi
+
+    (the paper prints `k1 k3 xi`; with (11) and (21) the factor is `k3`, see the errata). So `e2` and
+    `xi` go to zero exponentially and `e1` follows, from any start (theorem 1, with `k1 > 0`, `k2 > 1`,
+    `k3 > 0`). It fails for `d_x = 0`, where turning no longer moves the leader sideways in {F}.
+    """
+    m = in_motion(f, p_L, v_L, a_L, d, law)
+    return mu(m.delta, m.sigma_dot, m.e2, f.xi, d, law)
+
+
+@device
+def climb(f: Virtual, leader: TrajectoryPoint, d_z: float, law: PlannerLaw) -> float:
     """Vertical acceleration of a virtual follower (33)-(34), m/s^2, down.
 
     `sigma_z(p_L_ddot_z + k_z1 e_z + k_z2 e_z_dot)` with `e_z = p_Lz - p_Fz - d_z` (32). Away from the
@@ -164,7 +187,7 @@ def climb(f: Virtual, leader: Leader, d_z: float, law: PlannerLaw) -> float:
 
 
 @device
-def derivative(f: Virtual, leader: Leader, d: Vector, law: PlannerLaw) -> Virtual:
+def derivative(f: Virtual, leader: TrajectoryPoint, d: Vector, law: PlannerLaw) -> Virtual:
     """Time derivative of a virtual follower's state under its law (2)-(5), (18), (33)."""
     p_L, v_L, a_L = plane(leader.p), plane(leader.v), plane(leader.a)
     T, tau = control(f, p_L, v_L, a_L, plane(d), law)
@@ -175,24 +198,11 @@ def derivative(f: Virtual, leader: Leader, d: Vector, law: PlannerLaw) -> Virtua
 
 
 @device
-def _along(f: Virtual, h: float, rate: Virtual) -> Virtual:
-    return Virtual(
-        f.p + scaled(h, rate.p),
-        f.theta + h * rate.theta,
-        f.u + h * rate.u,
-        f.omega + h * rate.omega,
-        f.xi + scaled(h, rate.xi),
-        f.z + h * rate.z,
-        f.w + h * rate.w,
-    )
-
-
-@device
-def _coast(leader: Leader, h: float) -> Leader:
+def _coast(leader: TrajectoryPoint, h: float) -> TrajectoryPoint:
     """The leader `h` seconds on, its acceleration held."""
     p, v, a = leader.p, leader.v, leader.a
     k = 0.5 * h * h
-    return Leader(
+    return TrajectoryPoint(
         (p[0] + h * v[0] + k * a[0], p[1] + h * v[1] + k * a[1], p[2] + h * v[2] + k * a[2]),
         (v[0] + h * a[0], v[1] + h * a[1], v[2] + h * a[2]),
         a,
@@ -201,19 +211,19 @@ def _coast(leader: Leader, h: float) -> Leader:
     )
 
 
+_step = runge_kutta(derivative, Virtual)
+
+
 @device
-def advance(f: Virtual, leader: Leader, d: Vector, h: float, law: PlannerLaw) -> Virtual:
+def advance(f: Virtual, leader: TrajectoryPoint, d: Vector, h: float, law: PlannerLaw) -> Virtual:
     """A virtual follower `h` seconds later, from one sample of the leader.
 
-    A classical Runge-Kutta step in which the leader coasts at the sampled acceleration: between
-    samples nothing newer is known.
+    A Runge-Kutta step in which the leader coasts at the sampled acceleration: between samples nothing
+    newer is known.
     """
-    middle = _coast(leader, 0.5 * h)
-    a = derivative(f, leader, d, law)
-    b = derivative(_along(f, 0.5 * h, a), middle, d, law)
-    c = derivative(_along(f, 0.5 * h, b), middle, d, law)
-    e = derivative(_along(f, h, c), _coast(leader, h), d, law)
-    return _along(_along(_along(_along(f, h / 6.0, a), h / 3.0, b), h / 3.0, c), h / 6.0, e)
+    middle, end = _coast(leader, 0.5 * h), _coast(leader, h)
+    after: Virtual = _step(f, h, leader, middle, end, d, law)
+    return after
 
 
 @device
@@ -239,16 +249,18 @@ def place(p_L: Vector, v_L: Vector, d: Vector, direction: complex, moving: bool)
 
 
 @device
-def reference(f: Virtual, leader: Leader, d: Vector, law: PlannerLaw) -> Reference:
+def trajectory_point(
+    f: Virtual, leader: TrajectoryPoint, d: Vector, law: PlannerLaw
+) -> TrajectoryPoint:
     """The trajectory a virtual follower draws, and its derivatives up to the second (35).
 
-    Jerk and snap are zero, as in the paper's experiment. See `full_reference`.
+    Jerk and snap are zero, as in the paper's experiment. See `full_trajectory_point`.
     """
     T, _ = control(f, plane(leader.p), plane(leader.v), plane(leader.a), plane(d), law)
     R = phase(f.theta)
     v = scaled(f.u, R)
     a = R * complex(T, f.omega * f.u)
-    return Reference(
+    return TrajectoryPoint(
         (f.p.real, f.p.imag, f.z),
         (v.real, v.imag, f.w),
         (a.real, a.imag, climb(f, leader, d[2], law)),

@@ -20,6 +20,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from formation_env._jit import device
+from formation_env.runge_kutta import runge_kutta
 from formation_env.so3 import (
     ZERO,
     Quaternion,
@@ -152,28 +153,15 @@ def derivative(
     )
 
 
-@device
-def _along(body: Body, h: float, rate: Body) -> Body:
-    """`body + h rate`, the quaternion left unnormalised as the Runge-Kutta stages want it."""
-    a, b = body.q, rate.q
-    return Body(
-        add_scaled(body.p, h, rate.p),
-        add_scaled(body.v, h, rate.v),
-        (a[0] + h * b[0], a[1] + h * b[1], a[2] + h * b[2], a[3] + h * b[3]),
-        add_scaled(body.w, h, rate.w),
-    )
+_step = runge_kutta(derivative, Body)
 
 
 @device
 def fly(
     body: Body, applied: Wrench, push: Vector, h: float, actuation: int, airframe: Airframe
 ) -> Body:
-    """One classical Runge-Kutta step of `h` seconds with the actuators held (fourth order)."""
-    a = derivative(body, applied, push, actuation, airframe)
-    b = derivative(_along(body, 0.5 * h, a), applied, push, actuation, airframe)
-    c = derivative(_along(body, 0.5 * h, b), applied, push, actuation, airframe)
-    d = derivative(_along(body, h, c), applied, push, actuation, airframe)
-    after = _along(_along(_along(_along(body, h / 6.0, a), h / 3.0, b), h / 3.0, c), h / 6.0, d)
+    """The vehicle `h` seconds later, the actuators held: a Runge-Kutta step, its quaternion normalised."""
+    after = _step(body, h, applied, applied, applied, push, actuation, airframe)
     return Body(after.p, after.v, normalise(after.q), after.w)
 
 

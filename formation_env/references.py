@@ -1,4 +1,4 @@
-"""The leader's reference in kernels: position and derivatives up to the fourth, in closed form.
+"""A trajectory in kernels: position and derivatives up to the fourth, in closed form.
 
 A trajectory is a kind and a table of numbers, so that a kernel can evaluate another one per world:
 
@@ -30,7 +30,7 @@ SINES, LEMNISCATE, SPLINE = 0, 1, 2
 TERMS = 8  # coefficients of a piece of a spline: degree 7
 
 
-class Reference(NamedTuple):
+class TrajectoryPoint(NamedTuple):
     """A point of a trajectory and its time derivatives, inertial frame."""
 
     p: Vector  # m
@@ -41,9 +41,9 @@ class Reference(NamedTuple):
 
 
 @device
-def _by_derivative(x: Five, y: Five, z: Five) -> Reference:
+def _by_derivative(x: Five, y: Five, z: Five) -> TrajectoryPoint:
     """Derivatives 0 to 4 of each axis, regrouped as vectors."""
-    return Reference(
+    return TrajectoryPoint(
         (x[0], y[0], z[0]),
         (x[1], y[1], z[1]),
         (x[2], y[2], z[2]),
@@ -72,7 +72,7 @@ def _sines_axis(table: Floats, axis: int, t: float) -> Five:
 
 
 @device_as_generated  # by the random paths of recorded flights
-def _sines(table: Floats, t: float) -> Reference:
+def _sines(table: Floats, t: float) -> TrajectoryPoint:
     """`centre + drift t + sum of amplitude sin(rate t + phase)`, axis by axis."""
     return _by_derivative(
         _sines_axis(table, 0, t), _sines_axis(table, 1, t), _sines_axis(table, 2, t)
@@ -102,7 +102,7 @@ def amplitude(u: float) -> float:
 
 
 @device
-def _lemniscate(table: Floats, t: float) -> Reference:
+def _lemniscate(table: Floats, t: float) -> TrajectoryPoint:
     """The lemniscate (70), as corrected in the errata, at constant speed `V`.
 
     With `phi = gamma / 3`, `s = sin phi` and `c = V / a` the curve is
@@ -130,7 +130,7 @@ def _lemniscate(table: Floats, t: float) -> Reference:
     acceleration = k * w * E
     jerk = k * complex(w1, 3.0 * c * w * w) * E
     snap = k * complex(-11.0 * c * c * w * w * w, 9.0 * c * w * w1) * E
-    return Reference(
+    return TrajectoryPoint(
         (p.real, p.imag, -table[2]),
         (v.real, v.imag, 0.0),
         (acceleration.real, acceleration.imag, 0.0),
@@ -167,7 +167,7 @@ def _powers(table: Floats, start: int, x: float) -> Five:
 
 
 @device
-def _spline(table: Floats, t: float) -> Reference:
+def _spline(table: Floats, t: float) -> TrajectoryPoint:
     """Piecewise polynomial of degree 7; at rest at its end points before and after its time."""
     pieces = int(table[0])
     first, last = table[1], table[1 + pieces]
@@ -181,13 +181,13 @@ def _spline(table: Floats, t: float) -> Reference:
         _powers(table, start + 2 * TERMS, x),
     )
     if t < first or t > last:
-        return Reference(r.p, ZERO, ZERO, ZERO, ZERO)
+        return TrajectoryPoint(r.p, ZERO, ZERO, ZERO, ZERO)
     return r
 
 
 @device
-def evaluate(kind: int, table: Floats, t: float) -> Reference:
-    """The reference at time `t` (s): position and its derivatives up to the fourth."""
+def evaluate(kind: int, table: Floats, t: float) -> TrajectoryPoint:
+    """The trajectory at time `t` (s): position and its derivatives up to the fourth."""
     if kind == LEMNISCATE:
         return _lemniscate(table, t)
     if kind == SPLINE:
@@ -200,10 +200,10 @@ _AT_REST = 1e-6  # m/s, m/s^2, ...; a spline of samples is at rest only to its o
 
 @device
 def start_direction(kind: int, table: Floats) -> complex:
-    """Unit vector of the planar direction in which the reference leaves at `t = 0` (II-E).
+    """Unit vector of the planar direction in which the trajectory leaves at `t = 0` (II-E).
 
     Along the velocity, or, where it starts at rest, along the first derivative that is not zero,
-    which is the limit of the direction for `t -> 0`. North if the reference stands still.
+    which is the limit of the direction for `t -> 0`. North if the trajectory stands still.
     """
     r = evaluate(kind, table, 0.0)
     for x in (r.v, r.a, r.j, r.s):

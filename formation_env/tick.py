@@ -63,7 +63,7 @@ from formation_env.shuffles import (
 )
 from formation_env.so3 import ZERO, Vector
 from formation_env.task import Observation
-from formation_env.trajectories import Reference, evaluate
+from formation_env.trajectories import TrajectoryPoint, evaluate
 from formation_env.world import disturbed, hold_at, next_states, pushed, within
 
 # With more tiles than this the next one is fetched into the cache while this one flies: 9 % of a step of
@@ -78,7 +78,7 @@ _STATES = size(Measured) * LANES  # where the states of disturbances begin in a 
 _read_body, _read_position = loader(quadrotor.Body, Measured), loader(flight.Position, Measured)
 _read_point, _store_push = loader(Vector), storer(Vector)
 _read_states, _store_states = loader(States), storer(States)
-_read_squares, _write_reference = loader(arrays.Squares), line_storer(Reference)
+_read_squares, _write_reference = loader(arrays.Squares), line_storer(TrajectoryPoint)
 _OBSERVED, _VERDICT = size(Observation) * LANES, size(arrays.Verdict)
 
 
@@ -211,7 +211,7 @@ def refer(memory: Any, room: Any, t: int, here: int, standing: int) -> None:
 
 
 @cold
-def reference_of(memory: Any, t: int, lane: int) -> Reference:
+def reference_of(memory: Any, t: int, lane: int) -> TrajectoryPoint:
     """The leader's reference where it is not in the table: waiting, or on a path of its own or long."""
     count = arrays.counters(memory, t)
     ref = hold_at(_read_point(arrays.begin(memory, t), np.uint64(lane)))

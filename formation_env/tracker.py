@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 from formation_env._jit import device
 from formation_env.quadrotor import GRAVITY
+from formation_env.references import TrajectoryPoint
 from formation_env.so3 import (
     Rotation,
     Vector,
@@ -31,7 +32,6 @@ from formation_env.so3 import (
     to_body,
     to_inertial,
 )
-from formation_env.trajectories import Reference
 
 
 class TrackerLaw(NamedTuple):
@@ -103,7 +103,7 @@ class Torque(NamedTuple):
     tau: Vector  # rad/s^2, body; (46) turns it into a moment
 
 
-class Rates(NamedTuple):
+class RateCommand(NamedTuple):
     """Output of the variant for thrust-and-rates actuation."""
 
     thrust: float  # N
@@ -145,7 +145,7 @@ def saturation_curvature(x: Vector, law: TrackerLaw) -> Vector:
 
 
 @device
-def outer(m: Motion, ref: Reference, law: TrackerLaw) -> Outer:
+def outer(m: Motion, ref: TrajectoryPoint, law: TrackerLaw) -> Outer:
     """The position loop (48)-(52), (58) along the model's motion under the thrust law (54).
 
     With `x = k1 e1 + k2 e2` and the thrust `T/m = b . r3`:
@@ -212,7 +212,7 @@ def rate_error(w: Vector, p: Pointing) -> Vector:
 
 
 @device
-def errors(m: Motion, ref: Reference, law: TrackerLaw) -> TrackerErrors:
+def errors(m: Motion, ref: TrajectoryPoint, law: TrackerLaw) -> TrackerErrors:
     """The four errors of the backstepping (48), (49), (62), (65)."""
     o = outer(m, ref, law)
     p = pointing(m, o, law)
@@ -220,7 +220,7 @@ def errors(m: Motion, ref: Reference, law: TrackerLaw) -> TrackerErrors:
 
 
 @device
-def torque(m: Motion, ref: Reference, mass: float, law: TrackerLaw) -> Torque:
+def torque(m: Motion, ref: TrajectoryPoint, mass: float, law: TrackerLaw) -> Torque:
     """Thrust (54) and torque (67)-(68) that fly the vehicle along `ref`.
 
         T   = T_d r3d . r3
@@ -256,7 +256,7 @@ def torque(m: Motion, ref: Reference, mass: float, law: TrackerLaw) -> Torque:
 
 
 @device
-def rates(m: Motion, ref: Reference, mass: float, law: TrackerLaw) -> Rates:
+def rate_command(m: Motion, ref: TrajectoryPoint, mass: float, law: TrackerLaw) -> RateCommand:
     """Thrust (54) and the angular velocity that makes `e4 = 0` (65), for vehicles driven by rates.
 
         omega_d = A + S(k) B   along i and j,  omega_z = 0
@@ -265,14 +265,16 @@ def rates(m: Motion, ref: Reference, mass: float, law: TrackerLaw) -> Rates:
     `-W_sigma - k3 |S(r3) r3d|^2` (64). It needs neither `omega` nor the reference's snap.
     """
     still = Motion(m.p, m.v, m.R, (0.0, 0.0, 0.0))
-    return rates_through_lag(still, ref, mass, law, 0.0)
+    return rate_command_through_lag(still, ref, mass, law, 0.0)
 
 
 @device
-def rates_through_lag(m: Motion, ref: Reference, mass: float, law: TrackerLaw, lag: float) -> Rates:
+def rate_command_through_lag(
+    m: Motion, ref: TrajectoryPoint, mass: float, law: TrackerLaw, lag: float
+) -> RateCommand:
     """The command to a rate loop with a first-order lag (s) that makes `e4` go to zero.
 
-        omega_c = omega_d + lag omega_d_dot,   omega_d = A + S(k) B as in `rates`
+        omega_c = omega_d + lag omega_d_dot,   omega_d = A + S(k) B as in `rate_command`
 
     With `omega_dot = (omega_c - omega) / lag` the difference `omega - omega_d` decays with the time
     constant `lag`, whatever `omega_d` does. Sending `omega_d` alone is not enough for the paper's gains:
@@ -280,7 +282,7 @@ def rates_through_lag(m: Motion, ref: Reference, mass: float, law: TrackerLaw, l
     """
     o = outer(m, ref, law)
     p = pointing(m, o, law)
-    return Rates(
+    return RateCommand(
         mass * dot(o.b, m.R[2]),
         (
             p.A[0] - p.B[1] + lag * (p.A_dot[0] - p.B_dot[1]),
@@ -312,7 +314,7 @@ def _each(x: float) -> Vector:
 
 
 @device
-def certificate(m: Motion, ref: Reference, law: TrackerLaw) -> Certificate:
+def certificate(m: Motion, ref: TrajectoryPoint, law: TrackerLaw) -> Certificate:
     """Lyapunov function of the tracker (55)+(63)+(66), `W_sigma` (60) with `Q`, and (69).
 
     The integral in (55) is `sigma_max (sqrt(c + x^2) - sqrt(c))` per axis, `x = k1 e1 + k2 e2`.

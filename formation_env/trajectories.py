@@ -23,13 +23,14 @@ from formation_env.references import (
     LEMNISCATE,
     SINES,
     SPLINE,
-    Reference,
+    TrajectoryPoint,
     evaluate,
     start_direction,
 )
 from formation_env.splines import from_samples, waypoints
 from formation_env.tables import ABOVE_FLOOR, LARGEST
 from formation_env.trajectory import Trajectory, path_start
+
 
 __all__ = [
     "FACTORIES",
@@ -38,8 +39,8 @@ __all__ = [
     "SINES",
     "SPLINE",
     "RandomSmooth",
-    "Reference",
     "Trajectory",
+    "TrajectoryPoint",
     "as_trajectory",
     "circle",
     "draw",

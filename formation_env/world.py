@@ -32,8 +32,8 @@ from formation_env.so3 import (
     shortest_arc,
     sub,
 )
-from formation_env.tracker import Motion, TrackerLaw, rates, rates_through_lag, torque
-from formation_env.trajectories import Reference
+from formation_env.tracker import Motion, TrackerLaw, rate_command, rate_command_through_lag, torque
+from formation_env.trajectories import TrajectoryPoint
 
 Action = tuple[float, float, float, float]
 
@@ -94,27 +94,27 @@ def motion(m: Measured) -> Motion:
 
 
 @device
-def track(m: Motion, ref: Reference, actuation: int, world: World) -> Wrench:
+def track(m: Motion, ref: TrajectoryPoint, actuation: int, world: World) -> Wrench:
     """The tracker's command for the given actuation, not yet limited: (54) with (67)+(46), or rates."""
     airframe = world.airframe
     if actuation == MOMENT:
         t = torque(m, ref, airframe.mass, world.tracker)
         return Wrench(t.thrust, moment(t.tau, m.w, airframe.inertia))
-    r = rates_through_lag(m, ref, airframe.mass, world.rates_tracker, airframe.rate_lag)
+    r = rate_command_through_lag(m, ref, airframe.mass, world.rates_tracker, airframe.rate_lag)
     return Wrench(r.thrust, r.w)
 
 
 @device
-def follow(ref: Reference, own: Measured, world: World, actuation: int) -> Wrench:
+def follow(ref: TrajectoryPoint, own: Measured, world: World, actuation: int) -> Wrench:
     """What the actuators of a vehicle do that the tracker flies along a reference, from its measurement."""
     return saturate(track(motion(own), ref, actuation, world), actuation, world.airframe)
 
 
 @device
-def hold_at(p: Vector) -> Reference:
+def hold_at(p: Vector) -> TrajectoryPoint:
     """A reference that waits at a point: before the trigger (40)."""
     o = (0.0, 0.0, 0.0)
-    return Reference(p, o, o, o, o)
+    return TrajectoryPoint(p, o, o, o, o)
 
 
 @device
@@ -124,12 +124,12 @@ def resting(p: Vector) -> Body:
 
 
 @device
-def trimmed(ref: Reference, world: World) -> Body:
+def trimmed(ref: TrajectoryPoint, world: World) -> Body:
     """A vehicle that already flies along `ref` with null tracker errors `e1` to `e4`."""
     b = (-ref.a[0], -ref.a[1], GRAVITY - ref.a[2])
     q = shortest_arc(scale(1.0 / norm(b), b))
     m = Motion(ref.p, ref.v, rotation(q), (0.0, 0.0, 0.0))
-    return Body(ref.p, ref.v, q, rates(m, ref, world.airframe.mass, world.tracker).w)
+    return Body(ref.p, ref.v, q, rate_command(m, ref, world.airframe.mass, world.tracker).w)
 
 
 @device

@@ -10,7 +10,8 @@ from closed_loop import numbers
 from hypothesis import strategies as st
 
 from formation_env import planner
-from formation_env.planner import Leader, PlannerLaw, Virtual
+from formation_env.planner import PlannerLaw, Virtual
+from formation_env.references import TrajectoryPoint
 from formation_env.so3 import Vector
 
 PAPER = PlannerLaw(k1=0.2, k2=2.0, k3=0.0, kz1=0.2, kz2=2.0, p_max=5.0, z_max=4.0)
@@ -46,12 +47,14 @@ def virtual(x: np.ndarray) -> Virtual:
     )
 
 
-def control(x: np.ndarray, leader: Leader, d: Vector, law: PlannerLaw) -> tuple[float, float]:
+def control(
+    x: np.ndarray, leader: TrajectoryPoint, d: Vector, law: PlannerLaw
+) -> tuple[float, float]:
     c = planner.plane
     return planner.control(virtual(x), c(leader.p), c(leader.v), c(leader.a), c(d), law)
 
 
-def paper_errors(x: np.ndarray, leader: Leader, d: Vector, law: PlannerLaw) -> np.ndarray:
+def paper_errors(x: np.ndarray, leader: TrajectoryPoint, d: Vector, law: PlannerLaw) -> np.ndarray:
     """`(e1, e2)` of (7) and (11) in matrices, 4 numbers."""
     R, p_F, u, omega = planar(x[2]), x[0:2], x[3], x[4]
     e1 = R.T @ (np.array(leader.p[:2]) - p_F) - d[:2]
@@ -63,7 +66,7 @@ def paper_errors(x: np.ndarray, leader: Leader, d: Vector, law: PlannerLaw) -> n
 
 def flow(
     x: np.ndarray,
-    leader: Leader,
+    leader: TrajectoryPoint,
     d: Vector,
     law: PlannerLaw,
     bias: tuple[float, float] = (0.0, 0.0),

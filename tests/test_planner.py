@@ -31,14 +31,15 @@ from planar_loop import (
 from scipy.integrate import solve_ivp
 
 from formation_env import planner
-from formation_env.planner import Leader, PlannerLaw, Virtual
+from formation_env.planner import PlannerLaw, Virtual
+from formation_env.references import TrajectoryPoint
 from formation_env.so3 import Vector
 
 
 @PROPERTY
 @given(STATES, SEEDS, LAWS)
 def test_errors_are_the_papers(x: np.ndarray, seed: int, law: PlannerLaw) -> None:
-    leader = Leader(*Sines(seed).at(x[9]))
+    leader = TrajectoryPoint(*Sines(seed).at(x[9]))
     e1, e2 = planner.errors(
         virtual(x), planner.plane(leader.p), planner.plane(leader.v), planner.plane(D), law
     )
@@ -52,9 +53,9 @@ def test_error_dynamics(x: np.ndarray, seed: int, law: PlannerLaw) -> None:
     sines = Sines(seed)
 
     def errors_at(y: np.ndarray) -> np.ndarray:
-        return paper_errors(y, Leader(*sines.at(y[9])), D, law)
+        return paper_errors(y, TrajectoryPoint(*sines.at(y[9])), D, law)
 
-    leader = Leader(*sines.at(x[9]))
+    leader = TrajectoryPoint(*sines.at(x[9]))
     found = rate(errors_at, x, flow(x, leader, D, law))
     e1, e2 = np.split(errors_at(x), 2)
     sigma = law.p_max * np.tanh(e1 / law.p_max)
@@ -70,10 +71,10 @@ def test_rate_of_the_lyapunov_function(x: np.ndarray, seed: int, law: PlannerLaw
     sines = Sines(seed)
 
     def V3(y: np.ndarray) -> np.ndarray:
-        e = paper_errors(y, Leader(*sines.at(y[9])), D, law)
+        e = paper_errors(y, TrajectoryPoint(*sines.at(y[9])), D, law)
         return np.array(0.5 * e @ e + 0.5 * law.k3 * y[5:7] @ y[5:7])
 
-    leader = Leader(*sines.at(x[9]))
+    leader = TrajectoryPoint(*sines.at(x[9]))
     found = rate(V3, x, flow(x, leader, D, law))
     e1, e2 = np.split(paper_errors(x, leader, D, law), 2)
     sigma = law.p_max * np.tanh(e1 / law.p_max)
@@ -91,7 +92,7 @@ class Moving(Protocol):
 def fly(sines: Moving, x: np.ndarray, end: float, law: PlannerLaw, **more: Any) -> np.ndarray:
     """The closed loop from `x` for `end` seconds by SciPy, sampled at 200 instants."""
     return solve_ivp(
-        lambda _t, y: flow(y, Leader(*sines.at(y[9])), D, law, **more),
+        lambda _t, y: flow(y, TrajectoryPoint(*sines.at(y[9])), D, law, **more),
         (0.0, end),
         x,
         method="DOP853",
@@ -105,10 +106,10 @@ def test_position_error_falls_while_the_other_errors_are_zero() -> None:
     """From a start with `e2 = xi = 0`, `|e1|` falls all the way to zero."""
     sines = Sines(3)
     x = np.array([-2.0, 3.0, 0.7, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    _, e2 = np.split(paper_errors(x, Leader(*sines.at(0.0)), D, GENERIC), 2)
+    _, e2 = np.split(paper_errors(x, TrajectoryPoint(*sines.at(0.0)), D, GENERIC), 2)
     x[3:5] = GENERIC.k1 * np.linalg.solve(gamma(D), e2)
     path = fly(sines, x, 20.0, GENERIC)
-    errors = np.array([paper_errors(y, Leader(*sines.at(y[9])), D, GENERIC) for y in path])
+    errors = np.array([paper_errors(y, TrajectoryPoint(*sines.at(y[9])), D, GENERIC) for y in path])
     size = np.linalg.norm(errors[:, :2], axis=1)
     assert size[0] > 2.0
     assert np.abs(errors[:, 2:]).max() < 1e-7
@@ -121,7 +122,7 @@ def test_every_error_goes_to_zero() -> None:
     sines = Sines(4)
     x = np.array([2.0, -3.0, 2.5, -1.0, 1.0, 0.5, -0.5, 1.0, 0.5, 0.0])
     end = fly(sines, x, 60.0, GENERIC)[-1]
-    agree(paper_errors(end, Leader(*sines.at(end[9])), D, GENERIC), np.zeros(4), 1e-4)
+    agree(paper_errors(end, TrajectoryPoint(*sines.at(end[9])), D, GENERIC), np.zeros(4), 1e-4)
     agree(end[5:7], [0.0, 0.0], 1e-4)
 
 
@@ -131,7 +132,7 @@ def test_integral_state_rejects_a_constant_perturbation(k3: float) -> None:
     law, sines, bias = GENERIC._replace(k3=k3), Sines(6), (0.1, -0.15)
     x = np.array([0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     end = fly(sines, x, 60.0, law, bias=bias)[-1]
-    e2 = paper_errors(end, Leader(*sines.at(end[9])), D, law)[2:]
+    e2 = paper_errors(end, TrajectoryPoint(*sines.at(end[9])), D, law)[2:]
     left = -gamma(D) @ bias / (law.k1**2 * law.k2) if k3 == 0.0 else np.zeros(2)
     agree(e2, left, 1e-4)
 
@@ -142,13 +143,13 @@ def test_turning_and_shifting_the_scene_changes_nothing(
     x: np.ndarray, seed: int, angle: float, shift: Vector
 ) -> None:
     """North and the origin are conventions: the actuation is the same in any frame."""
-    R, leader = planar(angle), Leader(*Sines(seed).at(x[9]))
+    R, leader = planar(angle), TrajectoryPoint(*Sines(seed).at(x[9]))
 
     def turned(a: Vector, by: Vector = (0.0, 0.0, 0.0)) -> Vector:
         x_, y_ = R @ np.array(a[:2])
         return (float(x_) + by[0], float(y_) + by[1], a[2] + by[2])
 
-    there = Leader(turned(leader.p, shift), *(turned(a) for a in leader[1:]))
+    there = TrajectoryPoint(turned(leader.p, shift), *(turned(a) for a in leader[1:]))
     y = x.copy()
     y[0:2], y[2], y[7] = R @ x[0:2] + shift[:2], x[2] + angle, x[7] + shift[2]
     agree(control(y, there, D, GENERIC), control(x, leader, D, GENERIC), 1e-11)
@@ -186,7 +187,7 @@ def test_saturation(a: float, b: float) -> None:
 @given(STATES, SEEDS)
 def test_vertical_law(x: np.ndarray, seed: int) -> None:
     """(32)-(34): the leader's acceleration and a spring and damper on `e_z`, within `z_max`."""
-    leader = Leader(*Sines(seed).at(x[9]))
+    leader = TrajectoryPoint(*Sines(seed).at(x[9]))
     a_z = planner.climb(virtual(x), leader, D[2], GENERIC)
     e_z, e_z_dot = leader.p[2] - x[7] - D[2], leader.v[2] - x[8]
     wanted = leader.a[2] + GENERIC.kz1 * e_z + GENERIC.kz2 * e_z_dot
@@ -195,7 +196,7 @@ def test_vertical_law(x: np.ndarray, seed: int) -> None:
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_vertical_acceleration_is_bounded_both_ways(side: float) -> None:
-    leader = Leader((0.0, 0.0, 100.0 * side), *([(0.0, 0.0, 0.0)] * 4))
+    leader = TrajectoryPoint((0.0, 0.0, 100.0 * side), *([(0.0, 0.0, 0.0)] * 4))
     x = np.zeros(10)
     assert planner.climb(virtual(x), leader, 0.0, GENERIC) == side * GENERIC.z_max
 
@@ -208,7 +209,7 @@ def test_place_starts_with_null_errors(
     """II-E: `e1 = 0` and `e_z = 0`; `e2 = 0` and the leader's climb as well when moving."""
     direction = exp(1j * heading)
     f = planner.place(p_L, v_L, D, direction, moving)
-    leader = Leader(p_L, v_L, *([(0.0, 0.0, 0.0)] * 3))
+    leader = TrajectoryPoint(p_L, v_L, *([(0.0, 0.0, 0.0)] * 3))
     x = np.array([f.p.real, f.p.imag, f.theta, f.u, f.omega, 0.0, 0.0, f.z, f.w, 0.0])
     e = paper_errors(x, leader, D, GENERIC)
     agree(e[:2], [0.0, 0.0], 1e-13)
@@ -249,7 +250,7 @@ def test_advance_is_of_fourth_order_where_the_leader_coasts() -> None:
     for n in steps:
         f = virtual(START)
         for i in range(n):
-            f = planner.advance(f, Leader(*leader.at(3.0 * i / n)), D, 3.0 / n, GENERIC)
+            f = planner.advance(f, TrajectoryPoint(*leader.at(3.0 * i / n)), D, 3.0 / n, GENERIC)
         errors.append(np.abs(state(f) - exact).max())
     order = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
     assert order == pytest.approx(4.0, abs=0.3)
@@ -263,7 +264,7 @@ def test_advance_follows_a_manoeuvring_leader() -> None:
     for n in (300, 600):
         f = virtual(START)
         for i in range(n):
-            f = planner.advance(f, Leader(*sines.at(3.0 * i / n)), D, 3.0 / n, GENERIC)
+            f = planner.advance(f, TrajectoryPoint(*sines.at(3.0 * i / n)), D, 3.0 / n, GENERIC)
         errors.append(np.abs(state(f) - exact).max())
     assert errors[1] < 5e-3
     assert errors[0] / errors[1] == pytest.approx(2.0, abs=0.2)
@@ -272,7 +273,7 @@ def test_advance_follows_a_manoeuvring_leader() -> None:
 @PROPERTY
 @given(STATES, SEEDS)
 def test_derivative_is_the_closed_loop(x: np.ndarray, seed: int) -> None:
-    leader = Leader(*Sines(seed).at(x[9]))
+    leader = TrajectoryPoint(*Sines(seed).at(x[9]))
     agree(
         state(planner.derivative(virtual(x), leader, D, GENERIC)),
         flow(x, leader, D, GENERIC)[:9],
@@ -284,13 +285,15 @@ def test_derivative_is_the_closed_loop(x: np.ndarray, seed: int) -> None:
 @given(STATES, SEEDS)
 def test_reference_is_the_virtual_motion(x: np.ndarray, seed: int) -> None:
     """(35): velocity and acceleration are the rates of position and velocity; no jerk, no snap."""
-    leader = Leader(*Sines(seed).at(x[9]))
+    leader = TrajectoryPoint(*Sines(seed).at(x[9]))
 
     def motion(y: np.ndarray) -> np.ndarray:
-        ref = planner.reference(virtual(y), Leader(*Sines(seed).at(y[9])), D, GENERIC)
+        ref = planner.trajectory_point(
+            virtual(y), TrajectoryPoint(*Sines(seed).at(y[9])), D, GENERIC
+        )
         return np.array([*ref.p, *ref.v])
 
-    ref = planner.reference(virtual(x), leader, D, GENERIC)
+    ref = planner.trajectory_point(virtual(x), leader, D, GENERIC)
     agree([*ref.v, *ref.a], rate(motion, x, flow(x, leader, D, GENERIC)), 1e-8)
     assert ref.p == (x[0], x[1], x[7])
     assert ref.j == ref.s == (0.0, 0.0, 0.0)
@@ -320,7 +323,7 @@ def test_the_simulation_of_figure_2() -> None:
     for d, x in starts:
         ends.append(
             solve_ivp(
-                lambda _t, y, d=d: flow(y, Leader(*leader.at(y[9])), d, PAPER),
+                lambda _t, y, d=d: flow(y, TrajectoryPoint(*leader.at(y[9])), d, PAPER),
                 (0.0, 60.0),
                 np.array(x, dtype=float),
                 method="DOP853",

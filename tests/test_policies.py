@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baselines import POLICIES, make_policy
+from baselines import POLICIES, expert_lanes, make_policy
 from baselines.expert import Expert
 from baselines.policy import Policy
 from formation_env import FormationConfig, configure
+from formation_env.memory import ERROR
 from formation_env.quadrotor import GRAVITY
+from formation_env.records import slices
 from formation_env.simulation import Simulation, seeded_key
 from formation_env.trajectories import hover
 
@@ -85,7 +87,7 @@ def settle(policy: Policy, config: FormationConfig, seconds: float) -> np.ndarra
     policy.reset(seed=0, worlds=3)
     for _ in range(round(seconds / config.control_period)):
         results = simulation.step(policy.act(results.observations))
-    return np.linalg.norm(results.outputs[..., 8:11], axis=-1)
+    return np.linalg.norm(results.outputs[..., ERROR : ERROR + 3], axis=-1)
 
 
 @pytest.mark.parametrize(
@@ -103,9 +105,9 @@ def test_pd_turned_scene_turns_nothing() -> None:
     """The law works in {F}: yawing the world about the vertical changes no action."""
     config = configure("nominal")
     pd = make_policy("pd", config)
-    seen = {"slot_error": (0.3, -0.2, 0.1), "relative_velocity": (0.1, 0.4, -0.1)}
-    a = pd.act(at_rest(config, **seen))
-    b = pd.act(at_rest(config, **seen, heading=(0.0, 1.0), position=(5.0, -3.0, -8.0)))
+    moved = {"slot_error": (0.3, -0.2, 0.1), "relative_velocity": (0.1, 0.4, -0.1)}
+    a = pd.act(at_rest(config, **moved))
+    b = pd.act(at_rest(config, **moved, heading=(0.0, 1.0), position=(5.0, -3.0, -8.0)))
     assert np.array_equal(a, b)
     assert np.abs(a).max() > 0.1
 
@@ -188,16 +190,31 @@ def test_an_expert_with_a_record_decides_alike(level: str, worlds: int) -> None:
     assert np.isfinite(np.concatenate(list(noting.record.values()), axis=-1)).all()
 
 
+@pytest.mark.parametrize("level", LEVELS)
+def test_the_expert_reads_rows_as_they_are_laid_out(level: str) -> None:
+    """The records that it loads rows into have the entries of the layout, in order and size."""
+    layout = configure("nominal", action=level).layout
+    entries = slices(expert_lanes.Observation)
+    if level == "reference":
+        start = expert_lanes.OBSERVED
+        guide = slices(expert_lanes.Guide)
+        for field, name in (("p", "guide_position"), ("v", "guide_velocity")):
+            entries[name] = slice(start + guide[field].start, start + guide[field].stop)
+    assert list(entries.items()) == list(layout.slices.items())
+
+
 def test_the_experts_loops_are_vector_code() -> None:
     """Packed arithmetic in the machine code, compiled anew (a kernel from the cache has no listing)."""
     program = (
         "import numpy as np\n"
         "from baselines import expert_lanes as e\n"
         "from formation_env import configure\n"
-        "rows, x, refs = np.ones(640, np.float32), np.ones(144), np.ones(240)\n"
+        "L = e.LANES\n"
+        "rows, x = np.ones(e.OBSERVED * L, np.float32), np.ones(e.VIRTUAL * L)\n"
+        "points = np.ones(e.size(e.TrajectoryPoint) * L)\n"
         "c = configure('paper')\n"
         "for loop in (e.plan, e.plan_derived):\n"
-        "    loop(rows, x, 0.02, c.planner.law(), refs)\n"
+        "    loop(rows, x, 0.02, c.planner.law(), points)\n"
         "    code = next(iter(loop.inspect_asm().values()))\n"
         "    print(code.count('mulpd') + code.count('.2d'))\n"
     )

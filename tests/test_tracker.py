@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 
 from formation_env import so3, tracker
 from formation_env.quadrotor import GRAVITY
+from formation_env.references import TrajectoryPoint
 from formation_env.so3 import Quaternion, Vector
 from formation_env.tracker import Motion, TrackerLaw
-from formation_env.trajectories import Reference
 
 PAPER = TrackerLaw(
     k1=0.5, k2=1.5, k3=10.0, k4=0.5, kz=1.0, sigma_max=5.0, c=50.0, p11=1.0, p12=1.0 / 3.0, p22=0.5
@@ -45,8 +45,8 @@ def motion(x: Array) -> Motion:
     return Motion(vector(x[0:3]), vector(x[3:6]), so3.rotation(q), vector(x[10:13]))
 
 
-def target(x: Array, seed: int) -> Reference:
-    return Reference(*Sines(seed).at(x[13]))
+def target(x: Array, seed: int) -> TrajectoryPoint:
+    return TrajectoryPoint(*Sines(seed).at(x[13]))
 
 
 def R_of(x: Array) -> Array:
@@ -150,7 +150,7 @@ def test_thrust_and_errors_are_the_papers(x: Array, seed: int, law: TrackerLaw) 
     agree(e.e3, R_of(x)[:, 2] - direction(x, seed, law), 1e-12)
     agree(e.e4, paper_e4(x, seed, law), 1e-8)
     agree(tracker.torque(m, ref, MASS, law).thrust, paper_thrust(x, seed, law), 1e-12)
-    agree(tracker.rates(m, ref, MASS, law).thrust, paper_thrust(x, seed, law), 1e-12)
+    agree(tracker.rate_command(m, ref, MASS, law).thrust, paper_thrust(x, seed, law), 1e-12)
 
 
 @PROPERTY
@@ -258,7 +258,7 @@ def test_Q_is_positive_definite_with_the_papers_gains(y: Vector) -> None:
 def test_rates_stop_the_backstepping_one_step_earlier(x: Array, seed: int, law: TrackerLaw) -> None:
     """They make `e4 = 0`, and `V3` falls as (64) without its last line."""
     ref = target(x, seed)
-    command = tracker.rates(motion(x), ref, MASS, law)
+    command = tracker.rate_command(motion(x), ref, MASS, law)
     x = np.concatenate([x[:10], command.w, x[13:]])
     agree(tracker.errors(motion(x), ref, law).e4, np.zeros(3), 1e-12)
     assert command.w[2] == 0.0
@@ -277,7 +277,7 @@ def test_rates_through_a_lag_still_drive_e4_to_zero(
     x: Array, seed: int, law: TrackerLaw, lag: float
 ) -> None:
     """With `omega_dot = (omega_c - omega) / lag`: `e4_dot = -e4 / lag`, and `omega_z` alike."""
-    command = tracker.rates_through_lag(motion(x), target(x, seed), MASS, law, lag)
+    command = tracker.rate_command_through_lag(motion(x), target(x, seed), MASS, law, lag)
     agree(command.thrust, paper_thrust(x, seed, law), 1e-12)
     w_dot = (np.array(command.w) - x[10:13]) / lag
 
@@ -301,7 +301,7 @@ def test_quarter_turns_and_shifts_of_the_scene_change_nothing(
     y = np.concatenate([Z @ x[0:3] + shift, Z @ x[3:6], turned, x[10:]])
     ref = target(x, seed)
     p, *rest = (vector(Z @ np.array(a)) for a in ref)
-    there = Reference(vector(np.array(p) + shift), *rest)
+    there = TrajectoryPoint(vector(np.array(p) + shift), *rest)
     a = tracker.torque(motion(x), ref, MASS, law)
     b = tracker.torque(motion(y), there, MASS, law)
     agree([b.thrust, *b.tau], [a.thrust, *a.tau], 1e-10)
@@ -326,7 +326,7 @@ def test_turning_the_body_about_its_thrust_turns_the_torque_with_it(
 @pytest.mark.parametrize("yaw", [0.0, 2.0])
 def test_hover_is_an_equilibrium(yaw: float) -> None:
     """At the reference, level and still: `T = m g` and no torque, at any yaw."""
-    still = Reference((1.0, 2.0, -3.0), *([so3.ZERO] * 4))
+    still = TrajectoryPoint((1.0, 2.0, -3.0), *([so3.ZERO] * 4))
     m = Motion(still.p, so3.ZERO, so3.rotation(so3.exponential((0.0, 0.0, yaw))), so3.ZERO)
     command = tracker.torque(m, still, MASS, PAPER)
     agree([command.thrust, *command.tau], [MASS * GRAVITY, 0.0, 0.0, 0.0], 1e-13)
@@ -337,12 +337,12 @@ def test_hover_is_an_equilibrium(yaw: float) -> None:
 # ---- figure 4
 
 
-def lemniscate(t: float) -> Reference:
+def lemniscate(t: float) -> TrajectoryPoint:
     """(31) at a constant height of 1.5 m."""
     x = [2.0 * 0.25**n * np.cos(0.25 * t + 0.5 * np.pi * n) for n in range(5)]
     y = [0.5**n * np.sin(0.5 * t + 0.5 * np.pi * n) for n in range(5)]
     z = [-1.5, 0.0, 0.0, 0.0, 0.0]
-    return Reference(*(vector(row) for row in zip(x, y, z, strict=True)))
+    return TrajectoryPoint(*(vector(row) for row in zip(x, y, z, strict=True)))
 
 
 def loop(_t: float, x: Array) -> Array:

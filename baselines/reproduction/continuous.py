@@ -18,13 +18,14 @@ from scipy.integrate import solve_ivp
 
 from formation_env._jit import device, kernel
 from formation_env.gains import PlannerGains, TrackerGains
-from formation_env.planner import Leader, PlannerLaw, Virtual, plane
+from formation_env.planner import PlanarErrors, PlannerLaw, Virtual, plane
 from formation_env.planner import derivative as planner_derivative
 from formation_env.planner import errors as planner_errors
 from formation_env.quadrotor import MOMENT, Airframe, Body, Wrench, moment
 from formation_env.quadrotor import derivative as body_derivative
-from formation_env.references import Floats, Reference, evaluate
-from formation_env.so3 import ZERO, Quaternion, Vector, dot, normalise, rotation
+from formation_env.records import line_loader, line_storer, size, slices
+from formation_env.references import Floats, TrajectoryPoint, evaluate
+from formation_env.so3 import ZERO, Vector, dot, normalise, rotation
 from formation_env.tracker import Motion, TrackerLaw, certificate, pointing, torque
 from formation_env.tracker import errors as tracker_errors
 from formation_env.tracker import outer as tracker_outer
@@ -45,12 +46,40 @@ STARTS = (
     (3.0, 3.0, 1.5 * pi, 0.5, -0.5, 0.0, 0.0),
     (3.0, 1.0, 0.0, 0.0, 0.5, 0.0, 0.0),
 )
-_PLANAR = 7  # numbers per virtual follower
 
 # III-C: upside down (phi = pi), at rest: p, v, quaternion (w, x, y, z), omega.
 TRACKER = TrackerGains()
 UPSIDE_DOWN = (-5.0, 10.0, -10.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-BODY = 13  # numbers of a vehicle's state
+
+
+class PlanarState(NamedTuple):
+    """State of a virtual follower in the plane; as in `Virtual`."""
+
+    p: complex  # m
+    theta: float  # rad
+    u: float  # m/s
+    omega: float  # rad/s
+    xi: complex  # m s
+
+
+class FlightErrors(NamedTuple):
+    """What figures 4 and 5 show at one instant; as in `Flight`."""
+
+    thrust: float
+    alignment: float
+    lyapunov: float
+    lyapunov_rate: float
+    e1: Vector
+    e2: Vector
+    e3: Vector
+    e4: Vector
+
+
+_read_planar, _write_planar = line_loader(PlanarState), line_storer(PlanarState)
+_PLANAR = size(PlanarState)
+_write_planar_errors, _PLANAR_ERRORS = line_storer(PlanarErrors), size(PlanarErrors)
+_read_body, put_body, BODY = line_loader(Body), line_storer(Body), size(Body)
+_write_flight_errors, _FLIGHT_ERRORS = line_storer(FlightErrors), size(FlightErrors)
 
 
 class Planar(NamedTuple):
@@ -98,10 +127,10 @@ def grid(duration: float, step: float) -> Floats:
     return np.linspace(0.0, duration, round(duration / step) + 1)
 
 
-@device
-def leader_at(kind: int, table: Floats, t: float) -> Leader:
-    r = evaluate(kind, table, t)
-    return Leader(r.p, r.v, r.a, r.j, r.s)
+def fields_of(kind: type, lines: Floats) -> dict[str, Floats]:
+    """The numbers of records, which lie along the last axis, by field: `(...)` for a single number."""
+    named = {name: lines[..., where] for name, where in slices(kind).items()}
+    return {name: x[..., 0] if x.shape[-1] == 1 else x for name, x in named.items()}
 
 
 @device
@@ -115,7 +144,8 @@ def vector(x: Any) -> Vector:
 @device
 def _virtual(y: Any, height: float) -> Virtual:
     """A virtual follower in the plane, waiting at its height (`d_z = 0`)."""
-    return Virtual(complex(y[0], y[1]), y[2], y[3], y[4], complex(y[5], y[6]), height, 0.0)
+    s = _read_planar(y)
+    return Virtual(s.p, s.theta, s.u, s.omega, s.xi, height, 0.0)
 
 
 @kernel
@@ -123,15 +153,13 @@ def _planar_rate(
     t: float, y: Floats, kind: int, table: Floats, offsets: Floats, law: PlannerLaw
 ) -> Floats:
     """Virtual followers behind a leader that is the trajectory itself: (2)-(5), (18) under (21)."""
-    leader = leader_at(kind, table, t)
+    leader = evaluate(kind, table, t)
     rate = np.empty_like(y)
     for i in range(len(offsets)):
         k = _PLANAR * i
         f = _virtual(y[k : k + _PLANAR], leader.p[2])
         r = planner_derivative(f, leader, vector(offsets[i]), law)
-        rate[k], rate[k + 1], rate[k + 2] = r.p.real, r.p.imag, r.theta
-        rate[k + 3], rate[k + 4] = r.u, r.omega
-        rate[k + 5], rate[k + 6] = r.xi.real, r.xi.imag
+        _write_planar(rate[k : k + _PLANAR], PlanarState(r.p, r.theta, r.u, r.omega, r.xi))
     return rate
 
 
@@ -139,15 +167,14 @@ def _planar_rate(
 def _planar_errors(
     t: Floats, y: Floats, kind: int, table: Floats, offsets: Floats, law: PlannerLaw
 ) -> Floats:
-    """`e1`, `e2` of each follower at each time, `(T, n, 4)`."""
-    out = np.empty((len(t), len(offsets), 4))
+    """`PlanarErrors` of each follower at each time, `(T, n, 4)`."""
+    out = np.empty((len(t), len(offsets), _PLANAR_ERRORS))
     for k in range(len(t)):
-        leader = leader_at(kind, table, t[k])
+        leader = evaluate(kind, table, t[k])
         for i in range(len(offsets)):
             f = _virtual(y[k, _PLANAR * i : _PLANAR * (i + 1)], leader.p[2])
             e = planner_errors(f, plane(leader.p), plane(leader.v), plane(vector(offsets[i])), law)
-            out[k, i, 0], out[k, i, 1] = e.e1.real, e.e1.imag
-            out[k, i, 2], out[k, i, 3] = e.e2.real, e.e2.imag
+            _write_planar_errors(out[k, i], e)
     return out
 
 
@@ -159,24 +186,20 @@ def planar(duration: float = 60.0, step: float = 0.02, path: Trajectory = EIGHT)
     t = grid(duration, step)
     fixed = (path.kind, path.table, np.array(OFFSETS), PLANNER.law())
     y = integrate(_planar_rate, np.ravel(STARTS), t, *fixed)
-    e = _planar_errors(t, y, *fixed)
-    x = y.reshape(len(t), len(OFFSETS), _PLANAR)
+    errors = fields_of(PlanarErrors, _planar_errors(t, y, *fixed))
+    x = fields_of(PlanarState, y.reshape(len(t), len(OFFSETS), _PLANAR))
     leader = path(t)[:, 0, :2]
-    return Planar(t, leader, x[..., :2], x[..., 2], x[..., 3], x[..., 4], e[..., :2], e[..., 2:])
+    return Planar(t, leader, x["p"], x["theta"], x["u"], x["omega"], **errors)
 
 
 # -- figures 4 and 5 --------------------------------------------------------------------------------
 
 
 @device
-def _attitude(y: Any) -> Quaternion:
-    """The exact flow keeps the quaternion's length; this takes off what the integrator adds."""
-    return normalise((y[6], y[7], y[8], y[9]))
-
-
-@device
 def body_of(y: Any) -> Body:
-    return Body(vector(y), (y[3], y[4], y[5]), _attitude(y), (y[10], y[11], y[12]))
+    """The vehicle of a line of numbers; normalising takes off what the integrator adds to `|q| = 1`."""
+    b = _read_body(y)
+    return Body(b.p, b.v, normalise(b.q), b.w)
 
 
 @device
@@ -185,19 +208,11 @@ def _motion(b: Body) -> Motion:
 
 
 @device
-def flown(b: Body, ref: Reference, airframe: Airframe, law: TrackerLaw) -> Body:
+def flown(b: Body, ref: TrajectoryPoint, airframe: Airframe, law: TrackerLaw) -> Body:
     """Rate of a vehicle's state under the tracker: (41)-(46) with (54), (67)-(68)."""
     c = torque(_motion(b), ref, airframe.mass, law)
     applied = Wrench(c.thrust, moment(c.tau, b.w, airframe.inertia))
     return body_derivative(b, applied, ZERO, MOMENT, airframe)
-
-
-@device
-def put_body(out: Any, r: Body) -> None:
-    for k in range(3):
-        out[k], out[3 + k], out[10 + k] = r.p[k], r.v[k], r.w[k]
-    for k in range(4):
-        out[6 + k] = r.q[k]
 
 
 @kernel
@@ -214,19 +229,17 @@ def _flight_rate(
 def _flight_history(
     t: Floats, y: Floats, kind: int, table: Floats, airframe: Airframe, law: TrackerLaw
 ) -> Floats:
-    """Thrust, `r3 . r3d`, `V4`, `V4_dot` and the four errors at each time, `(T, 16)`."""
-    out = np.empty((len(t), 16))
+    """`FlightErrors` at each time, `(T, 16)`."""
+    out = np.empty((len(t), _FLIGHT_ERRORS))
     for k in range(len(t)):
         ref = evaluate(kind, table, t[k])
         m = _motion(body_of(y[k]))
         v = certificate(m, ref, law)
         e = tracker_errors(m, ref, law)
-        out[k, 0] = torque(m, ref, airframe.mass, law).thrust
-        out[k, 1] = dot(m.R[2], pointing(m, tracker_outer(m, ref, law), law).r3d)
-        out[k, 2], out[k, 3] = v.V4, v.V4_dot
-        for i in range(3):
-            out[k, 4 + i], out[k, 7 + i] = e.e1[i], e.e2[i]
-            out[k, 10 + i], out[k, 13 + i] = e.e3[i], e.e4[i]
+        thrust = torque(m, ref, airframe.mass, law).thrust
+        alignment = dot(m.R[2], pointing(m, tracker_outer(m, ref, law), law).r3d)
+        now = FlightErrors(thrust, alignment, v.V4, v.V4_dot, e.e1, e.e2, e.e3, e.e4)
+        _write_flight_errors(out[k], now)
     return out
 
 
@@ -235,8 +248,7 @@ def flight(duration: float = 30.0, step: float = 0.01) -> Flight:
     t = grid(duration, step)
     fixed = (EIGHT.kind, EIGHT.table, AIRFRAME, TRACKER.law())
     y = integrate(_flight_rate, np.array(UPSIDE_DOWN), t, *fixed)
-    h = _flight_history(t, y, *fixed)
-    q = y[:, 6:10] / np.linalg.norm(y[:, 6:10], axis=1, keepdims=True)
-    e1, e2, e3, e4 = np.split(h[:, 4:], 4, axis=1)
-    path = EIGHT(t)[:, 0]
-    return Flight(t, y[:, :3], q, path, h[:, 0], e1, e2, e3, e4, h[:, 2], h[:, 3], h[:, 1])
+    errors = fields_of(FlightErrors, _flight_history(t, y, *fixed))
+    x = fields_of(Body, y)
+    q = x["q"] / np.linalg.norm(x["q"], axis=1, keepdims=True)
+    return Flight(t, x["p"], q, EIGHT(t)[:, 0], **errors)

@@ -20,21 +20,22 @@ from baselines.reproduction.continuous import (
     PLANNER,
     TRACKER,
     body_of,
+    fields_of,
     flown,
     grid,
     integrate,
-    leader_at,
     put_body,
     vector,
 )
 from formation_env._jit import device, kernel
 from formation_env.config import NO_NOISE
-from formation_env.feedforward import full_reference
-from formation_env.planner import Leader, PlannerLaw, Virtual, place, plane
+from formation_env.feedforward import full_trajectory_point
+from formation_env.planner import PlannerLaw, Virtual, place, plane
 from formation_env.planner import derivative as planner_derivative
-from formation_env.planner import reference as planner_reference
-from formation_env.quadrotor import Airframe
-from formation_env.references import Floats, Reference
+from formation_env.planner import trajectory_point as planner_trajectory_point
+from formation_env.quadrotor import Airframe, Body
+from formation_env.records import line_loader, line_storer, size
+from formation_env.references import Floats, TrajectoryPoint, evaluate
 from formation_env.scenarios import configure
 from formation_env.so3 import ZERO, Vector
 from formation_env.tracker import TrackerLaw
@@ -45,21 +46,19 @@ _NAMES = ("zero", "derived", "derived, leader's exact")
 
 
 @device
-def _fed(f: Virtual, leader: Leader, d: Vector, law: PlannerLaw, mode: int) -> Reference:
+def _fed(
+    f: Virtual, leader: TrajectoryPoint, d: Vector, law: PlannerLaw, mode: int
+) -> TrajectoryPoint:
     """The reference of a virtual follower with its higher derivatives made in one of three ways."""
     if mode == ZERO_FED:
-        return planner_reference(f, leader, d, law)
+        return planner_trajectory_point(f, leader, d, law)
     if mode == DERIVED:  # nobody measures the leader's jerk and snap
-        leader = Leader(leader.p, leader.v, leader.a, ZERO, ZERO)
-    return full_reference(f, leader, d, law)
+        leader = TrajectoryPoint(leader.p, leader.v, leader.a, ZERO, ZERO)
+    return full_trajectory_point(f, leader, d, law)
 
 
-@device
-def _follower(y: Any) -> Virtual:
-    return Virtual(complex(y[0], y[1]), y[2], y[3], y[4], complex(y[5], y[6]), y[7], y[8])
-
-
-_FOLLOWER = 9
+_read_follower, _write_follower = line_loader(Virtual), line_storer(Virtual)
+_FOLLOWER = size(Virtual)
 
 
 @kernel
@@ -75,12 +74,10 @@ def _pair_rate(
     mode: int,
 ) -> Floats:
     """A virtual follower and the quadrotor that flies along it."""
-    leader = leader_at(kind, table, t)
-    f = _follower(y)
-    r = planner_derivative(f, leader, vector(d), planner)
+    leader = evaluate(kind, table, t)
+    f = _read_follower(y)
     rate = np.empty_like(y)
-    rate[0], rate[1], rate[2], rate[3], rate[4] = r.p.real, r.p.imag, r.theta, r.u, r.omega
-    rate[5], rate[6], rate[7], rate[8] = r.xi.real, r.xi.imag, r.z, r.w
+    _write_follower(rate, planner_derivative(f, leader, vector(d), planner))
     ref = _fed(f, leader, vector(d), planner, mode)
     put_body(rate[_FOLLOWER:], flown(body_of(y[_FOLLOWER:]), ref, airframe, law))
     return rate
@@ -89,13 +86,12 @@ def _pair_rate(
 @kernel
 def _pair_start(kind: int, table: Floats, d: Floats, planner: PlannerLaw, world: Any) -> Floats:
     """Both with null errors at `t = 0`."""
-    leader = leader_at(kind, table, 0.0)
+    leader = evaluate(kind, table, 0.0)
     v = plane(leader.v)
     f = place(leader.p, leader.v, vector(d), v / abs(v), True)
     y = np.empty(_FOLLOWER + BODY)
-    y[0], y[1], y[2], y[3], y[4] = f.p.real, f.p.imag, f.theta, f.u, f.omega
-    y[5], y[6], y[7], y[8] = f.xi.real, f.xi.imag, f.z, f.w
-    put_body(y[_FOLLOWER:], trimmed(full_reference(f, leader, vector(d), planner), world))
+    _write_follower(y, f)
+    put_body(y[_FOLLOWER:], trimmed(full_trajectory_point(f, leader, vector(d), planner), world))
     return y
 
 
@@ -121,7 +117,8 @@ def tracking_error(mode: int, d: Vector, world: World, duration: float = 60.0) -
         mode,
     )
     late = y[t >= min(20.0, 0.5 * duration)]
-    gap = late[:, _FOLLOWER : _FOLLOWER + 3] - late[:, [0, 1, 7]]
+    virtual, vehicle = fields_of(Virtual, late), fields_of(Body, late[:, _FOLLOWER:])
+    gap = vehicle["p"] - np.column_stack([virtual["p"], virtual["z"]])
     return float(np.sqrt((gap**2).sum(axis=1).mean()))
 
 

@@ -143,22 +143,22 @@ def _height_limits(ax: Any, run: Run) -> None:
 
 
 def _tracker_errors(run: Run, path: Path) -> None:
-    names = ("e1 (m)", "e2 (m/s)", "e3", "e4 (rad/s)")
+    units = {"e1": " (m)", "e2": " (m/s)", "e3": "", "e4": " (rad/s)"}
     speed = run.v[:, 0, 1:] - run.virtual_v[:, 0]
-    truth = (run.tracking[:, 0], speed)
+    truth = {"e1": run.tracking[:, 0], "e2": speed}
     with picture(path, 10.0, 7.6) as figure:
         axes = figure.subplots(4, 2, sharex=True, sharey="row")
         for i in range(2):
-            for k, name in enumerate(names):
-                ax, e = axes[k, i], run.tracker[:, 0, i, 3 * k : 3 * k + 3]
-                if k < 2:
+            for k, (name, unit) in enumerate(units.items()):
+                ax, e = axes[k, i], run.tracker[name][:, 0, i]
+                if name in truth:
                     components(ax, run.t, e, linewidth=0.4, alpha=0.3)
-                    components(ax, run.t, truth[k][:, i], linewidth=1.2)
+                    components(ax, run.t, truth[name][:, i], linewidth=1.2)
                 else:
                     components(ax, run.t, e, linewidth=0.5, alpha=0.6)
                 _steady_limits(ax, run, e)
                 title = f"follower {i + 1}" if k == 0 else ""
-                label(ax, name if i == 0 else "", title, time=k == 3)
+                label(ax, name + unit if i == 0 else "", title, time=k == 3)
         handles, texts = axes[0, 0].get_legend_handles_labels()
         axes[0, 0].legend(handles[3:], texts[3:], loc="upper right", ncols=3)
         title = (
@@ -181,9 +181,9 @@ def _planner_errors(run: Run, path: Path) -> None:
     names = ("e1 (m)", "e2 (m)", r"$e_z$ (m)")
     on = run.clock[:, 0] > 0.0
     t = run.t[on]
-    measured = np.split(run.planner[on, 0], (2, 4), axis=-1)
+    measured = [run.planner[name][on, 0] for name in ("e1", "e2", "ez")]
     height = run.p[:, :, :1, 2] - run.virtual_p[..., 2] - np.array(run.config.offsets)[:, 2]
-    truth = (*np.split(run.planner_true[on, 0], 2, axis=-1), height[on, 0, :, None])
+    truth = (*(run.planner_true[name][on, 0] for name in ("e1", "e2")), height[on, 0, :, None])
     with picture(path, 10.0, 6.2) as figure:
         axes = figure.subplots(3, 2, sharex=True, sharey="row")
         for i in range(2):

@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.expert import Expert
+from baselines.reproduction.continuous import fields_of, vector
 from formation_env import FormationConfig
 from formation_env._jit import kernel
-from formation_env.planner import PlannerLaw, Virtual
+from formation_env.planner import PlanarErrors, PlannerLaw, Virtual, plane
 from formation_env.planner import errors as planner_errors
+from formation_env.records import line_storer, size
 from formation_env.references import Floats
 from formation_env.scenarios import configure
 from formation_env.simulation import Simulation, seeded_key
@@ -25,6 +27,9 @@ from formation_env.simulation import Simulation, seeded_key
 AFTER_TRIGGER = 80.0  # s, what the figures show once the trigger (40) has fired
 TRANSIENT = 15.0  # s after the trigger, not part of the steady state
 PATIENCE = 120.0  # s, for the trigger
+
+
+Errors = dict[str, Floats]  # by name, (T, W, n, components) each
 
 
 class Run(NamedTuple):
@@ -40,9 +45,9 @@ class Run(NamedTuple):
     estimate: Floats  # (T, W, 3) leader's acceleration as follower 1 knows it, m/s^2
     virtual_p: Floats  # (T, W, n, 3) m
     virtual_v: Floats  # (T, W, n, 3) m/s
-    planner: Floats  # (T, W, n, 5): e1 (2), e2 (2), e_z as the planner measures them, m
-    planner_true: Floats  # (T, W, n, 4): e1 (2), e2 (2) with the leader's true motion, m
-    tracker: Floats  # (T, W, n, 12): e1 to e4 as the tracker measures them
+    planner: Errors  # e1 (2), e2 (2), ez (1) as the planner measures them, m
+    planner_true: Errors  # e1 (2), e2 (2) with the leader's true motion, m
+    tracker: Errors  # e1 to e4 (3 each) as the tracker measures them
 
     @property
     def tracking(self) -> Floats:
@@ -88,23 +93,23 @@ def fly(
         simulation.seed(world, seeded_key(seed + world))
     expert = Expert(config, feedforward, keep_record=True)
     expert.reset(seed, worlds)
-    seen = simulation.reset().observations
+    observations = simulation.reset().observations
     rows: list[dict[str, Floats]] = []
     while float(simulation.clock.min()) <= after:
         if float(simulation.time[0]) > PATIENCE and not bool(simulation.started.all()):
             late = int(np.argmin(simulation.started))
             raise RuntimeError(f"seed {seed + late}: no trigger (40) within {PATIENCE:g} s")
-        row = _truth(simulation, seen)
-        actions = expert.act(seen)
+        row = _truth(simulation, observations)
+        actions = expert.act(observations)
         rows.append({**row, **expert.record})
         # A step goes on after a failure: the figures show what the laws do, not what the task judges.
-        seen = simulation.step(actions).observations
+        observations = simulation.step(actions).observations
     return _collect(config, simulation, seed, rows)
 
 
-def _truth(simulation: Simulation, seen: NDArray[np.float32]) -> dict[str, Floats]:
+def _truth(simulation: Simulation, observations: NDArray[np.float32]) -> dict[str, Floats]:
     """What is true now, and the leader's acceleration as the first follower's row has it."""
-    parts = simulation.layout.unpack(seen[:, 0].astype(np.float64))
+    parts = simulation.layout.unpack(observations[:, 0].astype(np.float64))
     a, R = parts["leader_acceleration"], parts["heading"]
     plane = (a[:, 0] + 1j * a[:, 1]) * (R[:, 0] + 1j * R[:, 1])
     return {
@@ -120,10 +125,16 @@ def _collect(
     config: FormationConfig, simulation: Simulation, seed: int, rows: list[dict[str, Floats]]
 ) -> Run:
     x = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    measured = np.concatenate([x["planner_e1"], x["planner_e2"], x["planner_ez"]], -1)
-    state = np.concatenate([x["virtual_p"][..., :2], x["heading"], x["speed"], x["turn_rate"]], -1)
-    true = _planner_errors(x["p"], x["v"], state, np.array(config.offsets), config.planner.law())
-    tracker = np.concatenate([x[f"tracker_e{k}"] for k in (1, 2, 3, 4)], -1)
+    true_errors = _planner_errors(
+        x["p"],
+        x["v"],
+        x["virtual_p"],
+        x["heading"][..., 0],
+        x["speed"][..., 0],
+        x["turn_rate"][..., 0],
+        np.array(config.offsets),
+        config.planner.law(),
+    )
     return Run(
         config,
         seed,
@@ -135,26 +146,36 @@ def _collect(
         x["estimate"],
         x["virtual_p"],
         x["virtual_v"],
-        measured,
-        true,
-        tracker,
+        {name: x[f"planner_{name}"] for name in ("e1", "e2", "ez")},
+        fields_of(PlanarErrors, true_errors),
+        {name: x[f"tracker_{name}"] for name in ("e1", "e2", "e3", "e4")},
     )
+
+
+_store_errors, _ERRORS = line_storer(PlanarErrors), size(PlanarErrors)
 
 
 @kernel
 def _planner_errors(
-    p: Floats, v: Floats, state: Floats, offsets: Floats, law: PlannerLaw
+    p: Any,
+    v: Any,
+    virtual_p: Any,
+    heading: Any,
+    speed: Any,
+    turn_rate: Any,
+    offsets: Any,
+    law: PlannerLaw,
 ) -> Floats:
-    """`e1` (7) and `e2` (11) of virtual followers `p_x, p_y, theta, u, omega` behind the true leader."""
-    out = np.empty((*state.shape[:3], 4))
-    for k in range(state.shape[0]):
-        for w in range(state.shape[1]):
-            p_L = complex(p[k, w, 0, 0], p[k, w, 0, 1])
-            v_L = complex(v[k, w, 0, 0], v[k, w, 0, 1])
-            for i in range(state.shape[2]):
-                x = state[k, w, i]
-                f = Virtual(complex(x[0], x[1]), x[2], x[3], x[4], 0j, 0.0, 0.0)
-                e = planner_errors(f, p_L, v_L, complex(offsets[i, 0], offsets[i, 1]), law)
-                out[k, w, i, 0], out[k, w, i, 1] = e.e1.real, e.e1.imag
-                out[k, w, i, 2], out[k, w, i, 3] = e.e2.real, e.e2.imag
+    """`PlanarErrors` (7), (11) of virtual followers behind the true leader, `(T, W, n, 4)`.
+
+    Of the vehicles `p` and `v` `(T, W, n + 1, 3)` the leader comes first; of the virtual followers
+    `virtual_p` is `(T, W, n, 3)`, the others `(T, W, n)`.
+    """
+    out = np.empty((*heading.shape, _ERRORS))
+    for k, w, i in np.ndindex(heading.shape):
+        p_L, v_L = plane(vector(p[k, w, 0])), plane(vector(v[k, w, 0]))
+        theta, u, omega = heading[k, w, i], speed[k, w, i], turn_rate[k, w, i]
+        f = Virtual(plane(vector(virtual_p[k, w, i])), theta, u, omega, 0j, 0.0, 0.0)
+        e = planner_errors(f, p_L, v_L, plane(vector(offsets[i])), law)
+        _store_errors(out[k, w, i], e)
     return out
