@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
-from baselines.policy import Policy
+from baselines.policies.base import Policy
 from baselines.registry import METHODS, POLICIES, make_policy
 
 if TYPE_CHECKING:

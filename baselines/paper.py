@@ -18,15 +18,15 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from baselines import console
-from baselines.options import Parser, formatter, whole
 from baselines.reproduction import continuous, sampled, tables
 from baselines.reproduction.claims import Claim, Cost, claim_table, cost_table
 from baselines.reproduction.claims_continuous import flight_claims, planar_claims
 from baselines.reproduction.claims_experiment import experiment_claims
 from baselines.reproduction.claims_formation import formation_claims
 from baselines.reproduction.costs import feedforward_costs
-from baselines.writing import claim, write_text
+from baselines.system import console
+from baselines.system.arguments import Parser, formatter, whole
+from baselines.system.writing import claim, write_text
 from formation_env.config import NO_NOISE
 from formation_env.feasibility import FeasibilityWarning
 
@@ -115,13 +115,13 @@ def reproduce(
     out.mkdir(parents=True, exist_ok=True)
     claims: list[Claim] = []
     for numbers, simulate in GROUPS.items():
-        shown = sorted(wanted.intersection(numbers))
-        if shown:
-            console.complain(f"figures {', '.join(map(str, shown))} ...")
+        drawn = sorted(wanted.intersection(numbers))
+        if drawn:
+            console.complain(f"figures {', '.join(map(str, drawn))} ...")
             found, columns, motions = simulate(seed, worlds)
             claims += found
             digits = 9 if numbers in (PLANAR, FLIGHT) else 6
-            for number in shown:
+            for number in drawn:
                 tables.write_csv(out / f"fig{number:02d}.csv", columns[number], digits)
                 if plots:
                     _draw(number, motions[number], out / f"fig{number:02d}.png")

@@ -29,9 +29,9 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
-from baselines.console import command, complain, say
-from baselines.options import Parser, above_zero, formatter, seconds, whole
-from baselines.writing import write_text
+from baselines.system.arguments import Parser, above_zero, formatter, seconds, whole
+from baselines.system.console import command, complain, say
+from baselines.system.writing import write_text
 from benchmarks import startup
 from benchmarks.timing import ratio
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from time import process_time
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from baselines import console
+from baselines.system import console
 from train.command_line import wait_passively
 
 if TYPE_CHECKING:
@@ -172,7 +172,7 @@ def _pilot(config: Any, lstm: Any) -> Any:
     """The recurrent policy as one that the metrics take."""
     import numpy as np
 
-    from baselines.policy import Policy
+    from baselines.policies.base import Policy
 
     class Pilot(Policy):
         name = "lstm"

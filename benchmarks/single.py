@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium as gym
 
 from baselines.registry import make_policy
-from baselines.rollout import fly
+from baselines.scoring.rollout import fly
 from benchmarks import peers
 from benchmarks.grid import Point, task
 from benchmarks.steps import gym_steps, parallel_steps, policy_steps, random_steps, steps_only

@@ -23,8 +23,8 @@ import numba
 import numpy as np
 
 import formation_env
-from baselines import console
-from baselines.options import above_zero
+from baselines.system import console
+from baselines.system.arguments import above_zero
 from benchmarks import grid, report, single, startup
 from formation_env.config import LEVELS
 from formation_env.formations import MAX_FOLLOWERS

@@ -13,8 +13,8 @@ import pytest
 import baselines
 from baselines import Policy, evaluate, make_policy
 from baselines.own import PolicyError, is_source
-from baselines.rollout import fly
-from baselines.simple import Pd
+from baselines.policies.simple import Pd
+from baselines.scoring.rollout import fly
 from formation_env import FormationConfig, configure
 
 CODE = """

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from baselines import POLICIES, make_policy
-from baselines.expert import Expert
-from baselines.policy import Policy
+from baselines.policies.base import Policy
+from baselines.policies.expert import Expert
 from formation_env import FormationConfig, configure
 from formation_env.quadrotor import GRAVITY
 from formation_env.simulation import Simulation, seeded_key
@@ -192,7 +192,7 @@ def test_the_experts_loops_are_vector_code() -> None:
     """Packed arithmetic in the machine code, compiled anew (a kernel from the cache has no listing)."""
     program = (
         "import numpy as np\n"
-        "from baselines import expert_lanes as e\n"
+        "from baselines.policies import expert_lanes as e\n"
         "from formation_env import configure\n"
         "rows, x, refs = np.ones(640, np.float32), np.ones(144), np.ones(240)\n"
         "c = configure('paper')\n"

@@ -1,6 +1,6 @@
 """Figures 2 to 5: each closed loop as one continuous differential equation.
 
-The control laws are evaluated at every stage of the integrator, so that what is seen is the laws and
+The control laws are evaluated at every stage of the integrator, so that the figures show the laws and
 not their sampling. The right-hand sides only put the package's own functions together. The
 integrator is SciPy's DOP853 with relative and absolute tolerances of 1e-9.
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.expert import Expert
+from baselines.policies.expert import Expert
 from formation_env import FormationConfig
 from formation_env._jit import kernel
 from formation_env.planner import PlannerLaw, Virtual
@@ -37,7 +37,7 @@ class Run(NamedTuple):
     reference: Floats  # (T, 3) m, of the leader in world 0
     p: Floats  # (T, W, n+1, 3) m, true, leader first
     v: Floats  # (T, W, n+1, 3) m/s
-    estimate: Floats  # (T, W, 3) leader's acceleration as follower 1 knows it, m/s^2
+    estimate: Floats  # (T, W, 3) leader's acceleration as follower 1 observes it, m/s^2
     virtual_p: Floats  # (T, W, n, 3) m
     virtual_v: Floats  # (T, W, n, 3) m/s
     planner: Floats  # (T, W, n, 5): e1 (2), e2 (2), e_z as the planner measures them, m
@@ -88,23 +88,23 @@ def fly(
         simulation.seed(world, seeded_key(seed + world))
     expert = Expert(config, feedforward, keep_record=True)
     expert.reset(seed, worlds)
-    seen = simulation.reset().observations
+    observations = simulation.reset().observations
     rows: list[dict[str, Floats]] = []
     while float(simulation.clock.min()) <= after:
         if float(simulation.time[0]) > PATIENCE and not bool(simulation.started.all()):
             late = int(np.argmin(simulation.started))
             raise RuntimeError(f"seed {seed + late}: no trigger (40) within {PATIENCE:g} s")
-        row = _truth(simulation, seen)
-        actions = expert.act(seen)
+        row = _truth(simulation, observations)
+        actions = expert.act(observations)
         rows.append({**row, **expert.record})
         # A step goes on after a failure: the figures show what the laws do, not what the task judges.
-        seen = simulation.step(actions).observations
+        observations = simulation.step(actions).observations
     return _collect(config, simulation, seed, rows)
 
 
-def _truth(simulation: Simulation, seen: NDArray[np.float32]) -> dict[str, Floats]:
+def _truth(simulation: Simulation, observations: NDArray[np.float32]) -> dict[str, Floats]:
     """What is true now, and the leader's acceleration as the first follower's row has it."""
-    parts = simulation.layout.unpack(seen[:, 0].astype(np.float64))
+    parts = simulation.layout.unpack(observations[:, 0].astype(np.float64))
     a, R = parts["leader_acceleration"], parts["heading"]
     plane = (a[:, 0] + 1j * a[:, 1]) * (R[:, 0] + 1j * R[:, 1])
     return {

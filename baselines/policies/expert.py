@@ -15,7 +15,8 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.expert_lanes import (
+from baselines.policies.base import Policy, Rows
+from baselines.policies.expert_lanes import (
     ROOM,
     VIRTUAL,
     decide,
@@ -28,7 +29,6 @@ from baselines.expert_lanes import (
     take,
     waiting,
 )
-from baselines.policy import Policy, Rows
 from formation_env import FormationConfig
 from formation_env._jit import device, kernel
 from formation_env.blocks import LANES, carve

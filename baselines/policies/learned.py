@@ -1,6 +1,6 @@
 """A policy that was learned, run from its file by NumPy.
 
-Its network sees one follower's row at a time, so one file serves any number of followers and worlds,
+Its network takes one follower's row at a time, so one file serves any number of followers and worlds,
 and a row's action depends on no other row, to the last bit (see `forward`).
 """
 
@@ -12,11 +12,11 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.expert import Expert
 from baselines.files import Card, Network, check, load
-from baselines.forward import LANES, gathered, layer, padded, spread
-from baselines.policy import Policy, Rows
-from baselines.transfer import warn_of_transfer
+from baselines.policies.base import Policy, Rows
+from baselines.policies.expert import Expert
+from baselines.policies.forward import LANES, gathered, layer, padded, spread
+from baselines.policies.transfer import warn_of_transfer
 from formation_env import FormationConfig
 
 _ROWS = 1024  # at a time, so that what lies between the layers stays in the cache
@@ -52,8 +52,8 @@ class Learned(Policy):
         ]
         self._mean, self._scale = network.mean, network.scale
         self._expert = Expert(config) if self.card.residual > 0.0 else None
-        # What each row saw last, normalised, newest last: (rows, history, entries).
-        self._seen = np.zeros((0, self.card.history, self.card.entries), dtype=np.float32)
+        # The last normalised observations of each row, newest last: (rows, history, entries).
+        self._history = np.zeros((0, self.card.history, self.card.entries), dtype=np.float32)
         self._fresh = np.zeros(0, dtype=np.bool_)  # (rows,), those whose episode begins
 
     @property
@@ -62,7 +62,7 @@ class Learned(Policy):
 
     def begin(self, seeds: NDArray[np.uint64]) -> None:
         rows = len(seeds) * self.config.followers
-        self._seen = np.zeros((rows, self.card.history, self.card.entries), dtype=np.float32)
+        self._history = np.zeros((rows, self.card.history, self.card.entries), dtype=np.float32)
         self._fresh = np.ones(rows, dtype=np.bool_)
         if self._expert is not None:
             self._expert.begin(seeds)
@@ -78,7 +78,7 @@ class Learned(Policy):
         output = np.empty((worlds * n, self.config.action_size), dtype=np.float32)
         for start in range(0, len(flat), _ROWS):
             part = slice(start, start + _ROWS)
-            output[part] = self._forward(self._look(flat[part], part))
+            output[part] = self._forward(self._inputs(flat[part], part))
         self._fresh[:] = False
         actions = np.clip(output, -1.0, 1.0).reshape(worlds, n, -1)
         if self._expert is None:
@@ -87,18 +87,18 @@ class Learned(Policy):
         together = below + np.float32(self.card.residual) * actions
         return np.asarray(np.clip(together, -1.0, 1.0), dtype=np.float32)
 
-    def _look(self, rows: Rows, part: slice) -> Rows:
-        """What the network sees, `(rows, history * entries)`, after these observations."""
+    def _inputs(self, rows: Rows, part: slice) -> Rows:
+        """Inputs of the network, `(rows, history * entries)`, once these observations are the newest."""
         bound = np.float32(self.card.clip)
         with np.errstate(over="ignore"):  # of a tiny scale: infinity is clipped
             now: Rows = np.clip((rows - self._mean) / self._scale, -bound, bound)
         if self.card.history == 1:
             return now
-        seen, fresh = self._seen[part], self._fresh[part]
-        seen[:, :-1] = seen[:, 1:]
-        seen[:, -1] = now
-        seen[fresh] = now[fresh, None]
-        return seen.reshape(len(rows), -1)
+        history, fresh = self._history[part], self._fresh[part]
+        history[:, :-1] = history[:, 1:]
+        history[:, -1] = now
+        history[fresh] = now[fresh, None]
+        return history.reshape(len(rows), -1)
 
     def _forward(self, inputs: Rows) -> Rows:
         """The network's output for any number of rows."""
@@ -113,9 +113,9 @@ class Learned(Policy):
 
 
 def require_fit(card: Card, config: FormationConfig) -> None:
-    """Raise `Misfit` unless a policy sees and commands what followers of this configuration do.
+    """Raise `Misfit` unless observations and actions of the configuration are those of the policy.
 
-    `load` has seen to the layout's version.
+    `load` has checked the layout's version.
     """
     found: dict[str, tuple[Any, Any]] = {
         "action level": (card.action, config.action),

@@ -7,7 +7,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.policy import Policy, Rows
+from baselines.policies.base import Policy, Rows
 from formation_env import FormationConfig
 from formation_env._jit import kernel
 from formation_env.quadrotor import GRAVITY, MOMENT

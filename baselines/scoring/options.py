@@ -1,91 +1,19 @@
-"""Options of the commands: read, checked and told in one line each."""
+"""The options of `baselines.evaluate`."""
 
 from __future__ import annotations
 
 import argparse
 import os
-import shutil
-from collections.abc import Callable
-from math import isfinite
 from pathlib import Path
-from typing import NoReturn, TypeVar, final
 
-from baselines import tasks
-from baselines.console import say
 from baselines.files import SUFFIX
 from baselines.registry import METHODS, POLICIES, is_policy, known_names
-from baselines.scoring import EPISODES
+from baselines.scoring import tasks
+from baselines.scoring.evaluation import EPISODES
+from baselines.system.arguments import Parser, formatter, reader, seconds, whole
 from formation_env import SCENARIOS
 from formation_env.checks import shown
 from formation_env.config import LEVELS
-
-T = TypeVar("T")
-
-
-@final
-class Parser(argparse.ArgumentParser):
-    """Says in one line what is wrong, and helps in a terminal of 80 columns, or piped into `head`."""
-
-    def error(self, message: str) -> NoReturn:
-        """End with status 2."""
-        self.exit(2, f"{self.prog}: error: {message}\n")
-
-    def print_help(self, file: object = None) -> None:
-        """To the standard output, whatever becomes of it."""
-        say(self.format_help().rstrip("\n"))
-
-
-def formatter(prog: str) -> argparse.HelpFormatter:
-    """Help as wide as the terminal, at most 80 columns; lines of examples stay as they are."""
-    wide = min(80, shutil.get_terminal_size((80, 24)).columns)
-    return argparse.RawDescriptionHelpFormatter(prog, max_help_position=26, width=wide)
-
-
-def whole(low: int, high: int) -> Callable[[str], int]:
-    """Reads a whole number within bounds."""
-
-    def read(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            value = low - 1
-        if not low <= value <= high:
-            raise argparse.ArgumentTypeError(
-                f"{shown(text)}: expected a whole number from {low} to {high}"
-            )
-        return value
-
-    return read
-
-
-def above_zero(expected: str) -> Callable[[str], float]:
-    """Reads a finite number above 0; `expected` says in a message what it is."""
-
-    def read(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = 0.0
-        if not (isfinite(value) and value > 0.0):
-            raise argparse.ArgumentTypeError(f"{shown(text)}: expected {expected}")
-        return value
-
-    return read
-
-
-seconds = above_zero("a time in seconds above 0")
-
-
-def _read(reader: Callable[[str], T]) -> Callable[[str], T]:
-    """A reader that raises `ValueError`, for argparse, which would hide the message."""
-
-    def read(text: str) -> T:
-        try:
-            return reader(text)
-        except ValueError as problem:
-            raise argparse.ArgumentTypeError(str(problem)) from None
-
-    return read
 
 
 def _scenarios(text: str) -> list[str]:
@@ -139,20 +67,20 @@ def parser() -> Parser:
 def _add_what(own: Parser) -> None:
     """Options that decide what is flown."""
     add = own.add_argument
-    add("--policies", type=_read(_policies), default=argparse.SUPPRESS, metavar="NAMES",
+    add("--policies", type=reader(_policies), default=argparse.SUPPRESS, metavar="NAMES",
         help=f"comma-separated, of {', '.join(POLICIES)}; learned ones that are shipped: "
         f"{', '.join(METHODS)}; paths of your own *{SUFFIX} files; your own code as module:Name or "
         "file.py:Name (default: all that are shipped)")  # fmt: skip
-    add("--scenarios", type=_read(_scenarios), metavar="NAMES",
+    add("--scenarios", type=reader(_scenarios), metavar="NAMES",
         help=f"comma-separated, of {', '.join(SCENARIOS)}; NAME:LEVEL at another action level, "
         f"of {', '.join(LEVELS)} (default: all, with --leaderboard also those levels that policies are "
         "shipped for; with --config none)")  # fmt: skip
     add("--config", type=Path, action="append", default=[], metavar="FILE",
         help="JSON file with fields of a configuration, flown under its name; may be repeated")  # fmt: skip
-    add("--set", type=_read(tasks.read_setting), action="append", default=[], metavar="FIELD=VALUE",
+    add("--set", type=reader(tasks.read_setting), action="append", default=[], metavar="FIELD=VALUE",
         dest="settings", help="set a field in every scenario, in SI units; the value is JSON or a "
         "name; may be repeated")  # fmt: skip
-    add("--sweep", type=_read(tasks.read_sweep), action="append", default=[],
+    add("--sweep", type=reader(tasks.read_sweep), action="append", default=[],
         metavar="FIELD=VALUES", dest="sweeps",
         help="fly every scenario once for each value, LOW:HIGH:COUNT or VALUE,VALUE,...")  # fmt: skip
     add("--episodes", type=whole(1, 1_000_000), default=EPISODES, metavar="N",

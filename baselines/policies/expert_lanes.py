@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.policy import Rows
+from baselines.policies.base import Rows
 from formation_env._jit import device, kernel, loop
 from formation_env.blocks import LANES, carve, gather, reinterpret
 from formation_env.elementary import phase, pick
