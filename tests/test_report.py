@@ -118,7 +118,7 @@ def elsewhere(scenario: Scenario) -> Scenario:
 @pytest.mark.parametrize("columns", [60, 80, 100])
 def test_the_table_fits_the_terminal(short_report: Report, columns: int) -> None:
     one = elsewhere(short_report.scenarios["nominal"])._replace(absent={"random": "no"})
-    names = [*command.SHOWN, *(f"nominal gust={k}" for k in range(9)), "a" * 30]
+    names = [*command.BOARD_SCENARIOS, *(f"nominal gust={k}" for k in range(9)), "a" * 30]
     result = Report(7, 5, dict.fromkeys(names, one))
     text = summary(result, columns)
     assert max(map(len, text.splitlines())) <= columns
@@ -193,5 +193,7 @@ def test_the_checked_in_board_is_marked(root: Path) -> None:
         assert board.FLAWS in text and board.LEGEND in text, name
         (row,) = (line for line in text.split("## Remarks")[0].splitlines() if "| `ppo` |" in line)
         italics = [cell.strip().startswith("*") for cell in row.strip("| ").split(" | ")[1:]]
-        trained = [s in ("nominal", "paper") for s in (n.split(":")[0] for n in command.SHOWN)]
+        trained = [
+            s in ("nominal", "paper") for s in (n.split(":")[0] for n in command.BOARD_SCENARIOS)
+        ]
         assert italics == [not t for t in trained], name

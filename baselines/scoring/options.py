@@ -10,7 +10,7 @@ from baselines.files import SUFFIX
 from baselines.registry import METHODS, POLICIES, is_policy, known_names
 from baselines.scoring import tasks
 from baselines.scoring.evaluation import EPISODES
-from baselines.system.arguments import Parser, formatter, reader, seconds, whole
+from baselines.system.arguments import Parser, reader, seconds, whole
 from formation_env import SCENARIOS
 from formation_env.checks import shown
 from formation_env.config import LEVELS
@@ -51,13 +51,11 @@ fields and units: `python -c "help('formation_env.config.FormationConfig')"`
 
 
 def parser() -> Parser:
-    """The options of `baselines.evaluate`."""
+    """The options of the command, none of them read yet."""
     own = Parser(
-        prog="formation-evaluate",
-        description="Score policies on scenarios, on the same seeds for every policy.",
-        epilog=EXAMPLES,
-        formatter_class=formatter,
-        allow_abbrev=False,
+        "formation-evaluate",
+        "Score policies on scenarios, on the same seeds for every policy.",
+        EXAMPLES,
     )
     _add_what(own)
     _add_how(own)
@@ -68,41 +66,50 @@ def _add_what(own: Parser) -> None:
     """Options that decide what is flown."""
     add = own.add_argument
     add("--policies", type=reader(_policies), default=argparse.SUPPRESS, metavar="NAMES",
-        help=f"comma-separated, of {', '.join(POLICIES)}; learned ones that are shipped: "
-        f"{', '.join(METHODS)}; paths of your own *{SUFFIX} files; your own code as module:Name or "
-        "file.py:Name (default: all that are shipped)")  # fmt: skip
+        help=f"Policies to score, separated by commas: {', '.join(POLICIES)}; learned ones that are "
+        f"shipped, {', '.join(METHODS)}; paths of *{SUFFIX} files; your own code as module:Name or "
+        "file.py:Name. (default: all of these names that fly a chosen scenario)")  # fmt: skip
     add("--scenarios", type=reader(_scenarios), metavar="NAMES",
-        help=f"comma-separated, of {', '.join(SCENARIOS)}; NAME:LEVEL at another action level, "
-        f"of {', '.join(LEVELS)} (default: all, with --leaderboard also those levels that policies are "
-        "shipped for; with --config none)")  # fmt: skip
+        help=f"Scenarios to fly, separated by commas: {', '.join(SCENARIOS)}; NAME:LEVEL flies one at "
+        f"another action level, of {', '.join(LEVELS)}. (default: all; with --leaderboard also nominal "
+        "and paper at the other levels; with --config none)")  # fmt: skip
     add("--config", type=Path, action="append", default=[], metavar="FILE",
-        help="JSON file with fields of a configuration, flown under its name; may be repeated")  # fmt: skip
+        help="JSON file with fields of a configuration, flown as a scenario of the file's name; may be "
+        "repeated. (default: none)")  # fmt: skip
     add("--set", type=reader(tasks.read_setting), action="append", default=[], metavar="FIELD=VALUE",
-        dest="settings", help="set a field in every scenario, in SI units; the value is JSON or a "
-        "name; may be repeated")  # fmt: skip
+        dest="settings", help="Set a field of every scenario, in SI units; the value is JSON or a "
+        "name; may be repeated. (default: the scenarios' own values)")  # fmt: skip
     add("--sweep", type=reader(tasks.read_sweep), action="append", default=[],
         metavar="FIELD=VALUES", dest="sweeps",
-        help="fly every scenario once for each value, LOW:HIGH:COUNT or VALUE,VALUE,...")  # fmt: skip
+        help="Fly every scenario once for each value of a field, in SI units, given as LOW:HIGH:COUNT or "
+        "VALUE,VALUE,...; may be repeated. (default: no sweep)")  # fmt: skip
     add("--episodes", type=whole(1, 1_000_000), default=EPISODES, metavar="N",
-        help=f"for each scenario and policy (default: {EPISODES})")  # fmt: skip
+        help="Number of episodes of each policy on each scenario. (default: %(default)s)")  # fmt: skip
     add("--seed", type=whole(0, 2**32), default=0, metavar="N",
-        help="of the first episode (default: 0)")  # fmt: skip
+        help="Seed of a scenario's first episode; every further one has the next. "
+        "(default: %(default)s)")  # fmt: skip
     add("--action", choices=tuple(LEVELS), metavar="LEVEL",
-        help=f"action level instead of the scenarios' own, one of {', '.join(LEVELS)}")  # fmt: skip
+        help=f"Action level of the scenarios that are named without one: {', '.join(LEVELS)}. "
+        "(default: the scenarios' own)")  # fmt: skip
     add("--duration", type=seconds, metavar="S",
-        help="episode length in seconds instead of the scenario's")  # fmt: skip
+        help="Length of an episode in seconds. (default: the scenarios' own)")  # fmt: skip
 
 
 def _add_how(own: Parser) -> None:
     """Options that do not change a figure."""
     add, cores = own.add_argument, os.cpu_count() or 1
     add("--output", type=Path, default=Path("results"), metavar="DIR",
-        help="folder for the full report, results.md and results.json (default: results)")  # fmt: skip
+        help="Folder that the full report, results.md and results.json, is written to. "
+        "(default: %(default)s)")  # fmt: skip
     add("--threads", type=whole(1, 1024), default=cores, metavar="N",
-        help="threads that fly episodes (default: one for each core)")  # fmt: skip
+        help="Number of threads that fly episodes, or of cores of the cluster that --ray starts. "
+        "(default: %(default)s, one for each core of this machine)")  # fmt: skip
     add("--ray", action="store_true",
-        help="share the episodes out over a Ray cluster, by default one of this machine's cores")  # fmt: skip
-    add("--address", metavar="HOST:PORT", help="with --ray: of a cluster that runs already")
+        help="Share the episodes out over a Ray cluster, one of this machine's cores unless --address "
+        "names another. (default: off)")  # fmt: skip
+    add("--address", metavar="HOST:PORT",
+        help="Address of a Ray cluster that runs already, HOST:PORT or auto; only with --ray. "
+        "(default: a cluster of this machine's cores is started)")  # fmt: skip
     add("--leaderboard", type=Path, nargs="?", const=Path(), metavar="DIR",
-        help="also write LEADERBOARD.md and README.md's extract of it in this checkout "
-        "(by default the current folder)")  # fmt: skip
+        help="Also write LEADERBOARD.md and the README's extract of it in the checkout DIR, or in the "
+        "current folder where no DIR is given. (default: neither is written)")  # fmt: skip

@@ -3,20 +3,43 @@
 from __future__ import annotations
 
 import argparse
-import shutil
+import textwrap
 from collections.abc import Callable
 from math import isfinite
 from typing import NoReturn, TypeVar, final
 
-from baselines.system.console import say
+from baselines.system.console import say, width
 from formation_env.checks import shown
 
 T = TypeVar("T")
 
 
 @final
+class Formatter(argparse.RawDescriptionHelpFormatter):
+    """Help as wide as the terminal, at most 100 columns; descriptions and examples keep their lines.
+
+    Nothing is broken at a hyphen: half of an option's or policy's name is none.
+    """
+
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog, max_help_position=26, width=width())
+
+    def _split_lines(self, text: str, width: int) -> list[str]:
+        return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)
+
+
+@final
 class Parser(argparse.ArgumentParser):
-    """Says in one line what is wrong, and helps in a terminal of 80 columns, or piped into `head`."""
+    """Says in one line what is wrong, and helps within the terminal's width, also piped into `head`."""
+
+    def __init__(self, prog: str, description: str, epilog: str | None = None) -> None:
+        super().__init__(
+            prog=prog,
+            description=textwrap.fill(description, width()),
+            epilog=epilog,
+            formatter_class=Formatter,
+            allow_abbrev=False,
+        )
 
     def error(self, message: str) -> NoReturn:
         """End with status 2."""
@@ -25,12 +48,6 @@ class Parser(argparse.ArgumentParser):
     def print_help(self, file: object = None) -> None:
         """To the standard output, whatever becomes of it."""
         say(self.format_help().rstrip("\n"))
-
-
-def formatter(prog: str) -> argparse.HelpFormatter:
-    """Help as wide as the terminal, at most 80 columns; lines of examples stay as they are."""
-    wide = min(80, shutil.get_terminal_size((80, 24)).columns)
-    return argparse.RawDescriptionHelpFormatter(prog, max_help_position=26, width=wide)
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:
