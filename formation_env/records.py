@@ -1,0 +1,231 @@
+"""NamedTuples as numbers in memory: the only place that knows at which row or column a number lies.
+
+A record is a `NamedTuple` whose fields are numbers, complex numbers, tuples of fixed length or records.
+Its numbers, in the order of its fields, are the rows of a tile (row `k` of lane `l` at `k LANES + l`),
+or follow each other in a line (settings, results of one follower). From the fields' types this module
+makes the functions that load and store a record; the code they consist of can be read in tracebacks and
+the debugger.
+
+A record can also be loaded from, or stored into, the rows of a larger one that has fields of the same
+names: a `Body` of the rows of a vehicle's measurement.
+"""
+
+from __future__ import annotations
+
+import linecache
+from collections.abc import Callable
+from functools import cache
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from formation_env._jit import device
+
+LANES = 16  # worlds side by side in a tile: two vectors of doubles, one of single precision
+
+_NUMBERS = (float, int, bool)
+
+
+@cache
+def fields(kind: Any) -> dict[str, Any]:
+    """The types of a record's fields by name, without what annotates them."""
+    return {name: _bare(hint) for name, hint in get_type_hints(kind, include_extras=True).items()}
+
+
+@cache
+def notes(kind: Any) -> dict[str, Any]:
+    """What annotates each field of a record (`Annotated[type, note]`), for those that have a note."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {n: get_args(h)[1] for n, h in hints.items() if get_origin(h) is Annotated}
+
+
+def _bare(hint: Any) -> Any:
+    return get_args(hint)[0] if get_origin(hint) is Annotated else hint
+
+
+def is_record(kind: Any) -> bool:
+    """Whether a type is a NamedTuple."""
+    return isinstance(kind, type) and issubclass(kind, tuple) and hasattr(kind, "_fields")
+
+
+def size(kind: Any) -> int:
+    """How many numbers a value of this type consists of."""
+    return len(parts(kind))
+
+
+@cache
+def parts(kind: Any, value: str = "") -> tuple[tuple[str, Any], ...]:
+    """The numbers of a value in order: how each is reached (`.p[0]`), and its type."""
+    kind = _bare(kind)
+    if kind in _NUMBERS:
+        return ((value, kind),)
+    if kind is complex:
+        return ((f"{value}.real", float), (f"{value}.imag", float))
+    if is_record(kind):
+        pairs = [(f"{value}.{name}", one) for name, one in fields(kind).items()]
+    elif get_origin(kind) is tuple and Ellipsis not in get_args(kind):
+        pairs = [(f"{value}[{k}]", one) for k, one in enumerate(get_args(kind))]
+    else:
+        raise TypeError(f"{kind}: expected numbers, complex numbers, fixed tuples or NamedTuples")
+    return tuple(number for name, one in pairs for number in parts(one, name))
+
+
+@cache
+def slices(kind: Any) -> dict[str, slice]:
+    """Where the numbers of each field of a record lie among all of its numbers."""
+    found, start = {}, 0
+    for name, one in fields(kind).items():
+        found[name] = slice(start, start + size(one))
+        start += size(one)
+    return found
+
+
+def at(kind: Any, *path: str) -> int:
+    """The number of the first row of a field, or of a field of a field."""
+    row = 0
+    for name in path:
+        row += slices(kind)[name].start
+        kind = fields(kind)[name]
+    return row
+
+
+def rows_in(kind: Any, layout: Any) -> tuple[int, ...]:
+    """The rows of `layout` that hold the numbers of a record, field by field of the same name and size.
+
+    Raises `TypeError` naming the field that `layout` lacks.
+    """
+    if kind is layout or not is_record(kind):
+        return tuple(range(size(kind)))
+    found: list[int] = []
+    for name, one in fields(kind).items():
+        there = slices(layout).get(name)
+        if there is None or there.stop - there.start != size(one):
+            raise TypeError(f"{layout.__name__} has no {name} as in {kind.__name__}")
+        found += range(there.start, there.stop)
+    return tuple(found)
+
+
+def flatten(value: Any) -> list[float]:
+    """The numbers of a record, or of a nested tuple, in order, for `line_loader`."""
+    if isinstance(value, tuple):
+        return [x for item in value for x in flatten(item)]
+    if isinstance(value, complex):
+        return [value.real, value.imag]
+    return [float(value)]
+
+
+# -- code ---------------------------------------------------------------------------------------------
+
+
+def build(kind: Any, reads: list[str], names: dict[str, Any]) -> str:
+    """The expression that builds a value from the expressions of its numbers, which it takes from `reads`.
+
+    The classes that it names are put into `names`.
+    """
+    kind = _bare(kind)
+    if kind in _NUMBERS:
+        return reads.pop(0)
+    if kind is complex:
+        return f"complex({reads.pop(0)}, {reads.pop(0)})"
+    if is_record(kind):
+        names[kind.__name__] = kind
+        return f"{kind.__name__}({', '.join(build(k, reads, names) for k in fields(kind).values())})"
+    return f"({', '.join(build(one, reads, names) for one in get_args(kind))},)"
+
+
+def _read(kind: Any, place: str) -> str:
+    """The expression of a number of this type that lies at a place."""
+    if kind is bool:
+        return f"({place} != 0)"
+    return f"np.float64({place})" if kind is float else f"np.int64({place})"
+
+
+def row_place(row: int, array: str = "x", lane: str = "lane") -> str:
+    """The expression of the entry of a lane in a row of a tile."""
+    return f"{array}[np.uint64({row * LANES}) + {lane}]"
+
+
+def load_expression(
+    kind: Any, names: dict[str, Any], layout: Any = None, array: str = "x", lane: str = "lane"
+) -> str:
+    """The expression that loads a value from the rows of a tile."""
+    places = [row_place(row, array, lane) for row in rows_in(kind, layout or kind)]
+    reads = [_read(n, p) for (_, n), p in zip(parts(kind), places, strict=True)]
+    return build(kind, reads, names)
+
+
+def store_lines(
+    kind: Any,
+    layout: Any = None,
+    array: str = "x",
+    lane: str = "lane",
+    value: str = "v",
+    keep: str = "",
+    shown: Callable[[int, str], str] = lambda number, text: text,
+) -> list[str]:
+    """The statements that store a value in the rows of a tile, where the condition `keep` holds if given."""
+    lines = []
+    for k, (row, (path, one)) in enumerate(
+        zip(rows_in(kind, layout or kind), parts(kind), strict=True)
+    ):
+        place = row_place(row, array, lane)
+        text = shown(k, f"(1.0 if {value}{path} else 0.0)" if one is bool else f"{value}{path}")
+        lines.append(f"{place} = {text}" + (f" if {keep} else {place}" if keep else ""))
+    return lines
+
+
+def define(name: str, source: str, names: dict[str, Any]) -> Any:
+    """The function that `source` defines, known to tracebacks and the debugger under a file of its own."""
+    file = f"<formation_env: {name}>"
+    linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
+    space = {"np": np, "__name__": __name__, **names}
+    exec(compile(source, file, "exec"), space)
+    return space[name]
+
+
+def _function(name: str, arguments: str, body: list[str], names: dict[str, Any]) -> Any:
+    source = f"def {name}({arguments}):\n" + "".join(f"    {line}\n" for line in body)
+    return device(define(name, source, names))
+
+
+def _name(kind: Any) -> str:
+    return getattr(kind, "__name__", None) or "".join(c for c in str(kind) if c.isalnum())
+
+
+@cache
+def loader(kind: Any, layout: Any = None) -> Any:
+    """`load(x, lane)`: the record in one lane of a tile's rows; compiled code.
+
+    With `layout` the rows are those of that record, of which `kind` has some of the fields.
+    """
+    names: dict[str, Any] = {}
+    line = load_expression(kind, names, layout)
+    return _function(f"load_{_name(kind)}", "x, lane", [f"return {line}"], names)
+
+
+@cache
+def storer(kind: Any, layout: Any = None) -> Any:
+    """`store(x, lane, v)`: the inverse of `loader`."""
+    return _function(f"store_{_name(kind)}", "x, lane, v", store_lines(kind, layout), {})
+
+
+@cache
+def line_loader(kind: Any) -> Any:
+    """`load(x)`: the value whose numbers a line begins with, the inverse of `flatten`; compiled code."""
+    names: dict[str, Any] = {}
+    reads = [_read(one, f"x[{k}]") for k, (_, one) in enumerate(parts(kind))]
+    return _function(f"read_{_name(kind)}", "x", [f"return {build(kind, reads, names)}"], names)
+
+
+@cache
+def line_storer(kind: Any) -> Any:
+    """`store(x, v)`: the inverse of `line_loader`."""
+    lines = [f"x[{k}] = v{path}" for k, (path, _) in enumerate(parts(kind))]
+    return _function(f"write_{_name(kind)}", "x, v", lines, {})
+
+
+@cache
+def total(kind: Any) -> Any:
+    """`total(v)`: the sum of a record's numbers, from the first to the last; compiled code."""
+    text = " + ".join(f"v{path}" for path, _ in parts(kind))
+    return _function(f"total_{_name(kind)}", "v", [f"return {text}"], {})
