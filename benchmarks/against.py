@@ -199,11 +199,11 @@ def _compiled(roots: Mapping[str, Path], folder: Path, count: int) -> dict[str, 
     return taken
 
 
-def _turn(root: Path, folder: Path, cache: Path, told: str) -> dict[str, float]:
+def _turn(root: Path, folder: Path, cache: Path, request: str) -> dict[str, float]:
     """Seconds a step of each point of the checkout `root`, timed by the `benchmarks` in `folder`."""
     try:
         figures = startup.printed(
-            startup.python("-m", "benchmarks.turn", told, path=[folder, root], cache=cache)
+            startup.python("-m", "benchmarks.turn", request, path=[folder, root], cache=cache)
         )
     except subprocess.CalledProcessError as problem:
         raise _failed(root, problem) from None
@@ -216,7 +216,7 @@ def measure(options: argparse.Namespace) -> dict[str, Times]:
     """Seconds of each checkout, point and turn. Raises `Failed`."""
     roots = {"this": startup.ROOT, "other": options.checkout}
     names = ("points", "scenario", "threads", "rounds", "seconds")
-    told = json.dumps({name: getattr(options, name) for name in names})
+    request = json.dumps({name: getattr(options, name) for name in names})
     times: dict[str, Times] = {side: {point: [] for point in options.points} for side in SIDES}
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -226,7 +226,7 @@ def measure(options: argparse.Namespace) -> dict[str, Times]:
         for turn, order in enumerate(_turns(options.turns), 1):
             complain(f"turn {turn} of {options.turns}: {', '.join(order)}")
             for side in order:
-                for point, value in _turn(roots[side], folder, folder / side, told).items():
+                for point, value in _turn(roots[side], folder, folder / side, request).items():
                     times[side][point].append(value)
     if options.compile:
         for side in SIDES:

@@ -185,11 +185,11 @@ def test_true_planner_errors_are_the_papers(run: sampled.Run) -> None:
     """(7) by matrices: `|R^T (p_L - p_F) - d|` does not depend on how `R` is written."""
     d = np.array(run.config.offsets)[:, :2]
     gap = run.p[:, :, :1, :2] - run.virtual_p[..., :2]
-    seen = run.planner_true[..., :2] + d
+    from_leader = run.planner_true["e1"] + d
     np.testing.assert_allclose(
-        np.linalg.norm(seen, axis=-1), np.linalg.norm(gap, axis=-1), atol=1e-12
+        np.linalg.norm(from_leader, axis=-1), np.linalg.norm(gap, axis=-1), atol=1e-12
     )
-    noise = run.planner[..., :2] - run.planner_true[..., :2]
+    noise = run.planner["e1"] - run.planner_true["e1"]
     flying = run.clock[:, 0] > 0.0
     assert 0.19 < noise[flying].std() < 0.21  # the position's 0.2 m
 

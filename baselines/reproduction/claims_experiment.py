@@ -17,13 +17,13 @@ _SIZE = 0.353  # m, length of section IV's vehicles
 
 def _oscillation(run: Run, prompt: Run) -> Claim:
     def crossings(w: int, m: NDArray[np.bool_]) -> float:
-        e = run.planner_true[m, w, 0, :2]
+        e = run.planner_true["e1"][m, w, 0]
         signs = np.signbit(e - e.mean(axis=0))
         minutes = m.sum() * run.config.control_period / 60.0
         return float((signs[1:] != signs[:-1]).sum(axis=0).max() / minutes)
 
     def size(of: Run) -> Floats:
-        return per_world(of, lambda w, m: rms(of.planner_true[m, w, :, :2]))
+        return per_world(of, lambda w, m: rms(of.planner_true["e1"][m, w]))
 
     count, e1, without = per_world(run, crossings), size(run), size(prompt)
     return Claim(
@@ -136,7 +136,7 @@ def _delay(run: Run) -> Claim:
 
 def _followed(run: Run) -> Claim:
     error = per_world(run, lambda w, m: rms(run.tracking[m, w]))
-    virtual = per_world(run, lambda w, m: rms(run.planner_true[m, w, :, :2]))
+    virtual = per_world(run, lambda w, m: rms(run.planner_true["e1"][m, w]))
     return Claim(
         "smooth-trajectories-tracked",
         (12, 13),

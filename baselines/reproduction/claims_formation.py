@@ -62,7 +62,7 @@ def _tracking(run: Run) -> list[Claim]:
 
 def _noise_effect(noisy: Run, clean: Run) -> Claim:
     def e1(run: Run) -> Floats:
-        return per_world(run, lambda w, m: rms(run.planner_true[m, w, :, :2]))
+        return per_world(run, lambda w, m: rms(run.planner_true["e1"][m, w]))
 
     a, b = e1(noisy), e1(clean)
     return Claim(

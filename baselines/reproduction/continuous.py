@@ -14,6 +14,7 @@ from math import inf, pi
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from formation_env._jit import device, kernel
@@ -23,8 +24,9 @@ from formation_env.planner import derivative as planner_derivative
 from formation_env.planner import errors as planner_errors
 from formation_env.quadrotor import MOMENT, Airframe, Body, Wrench, moment
 from formation_env.quadrotor import derivative as body_derivative
+from formation_env.records import flatten, line_loader, line_storer, size, slices
 from formation_env.references import Floats, Reference, evaluate
-from formation_env.so3 import ZERO, Quaternion, Vector, dot, normalise, rotation
+from formation_env.so3 import ZERO, Vector, dot, normalise, rotation
 from formation_env.tracker import Motion, TrackerLaw, certificate, pointing, torque
 from formation_env.tracker import errors as tracker_errors
 from formation_env.tracker import outer as tracker_outer
@@ -38,19 +40,29 @@ EIGHT = figure_eight()
 # III-C's vehicle; thrust and moment without limits, the thrust negative while upside down.
 AIRFRAME = Airframe(0.1, (1e-3, 1e-3, 2e-3), -inf, inf, (inf, inf, inf), (inf, inf, inf), 0.05)
 
-# II-D: gains, offsets (no height) and initial states p_x, p_y, theta, u, omega, xi_x, xi_y.
+
+class InPlane(NamedTuple):
+    """State of a virtual follower without its height; fields as in `Virtual`."""
+
+    p: complex  # m
+    theta: float  # rad, not wrapped
+    u: float  # m/s
+    omega: float  # rad/s
+    xi: complex  # m s
+
+
+# II-D: gains, offsets (no height) and initial states.
 PLANNER = PlannerGains(k1=0.2, k2=2.0, k3=0.0, p_max=5.0)
 OFFSETS = ((0.35, 0.35, 0.0), (0.35, -0.35, 0.0))
-STARTS = (
-    (3.0, 3.0, 1.5 * pi, 0.5, -0.5, 0.0, 0.0),
-    (3.0, 1.0, 0.0, 0.0, 0.5, 0.0, 0.0),
-)
-_PLANAR = 7  # numbers per virtual follower
+STARTS = (InPlane(3.0 + 3.0j, 1.5 * pi, 0.5, -0.5, 0j), InPlane(3.0 + 1.0j, 0.0, 0.0, 0.5, 0j))
 
-# III-C: upside down (phi = pi), at rest: p, v, quaternion (w, x, y, z), omega.
+# III-C: upside down (phi = pi), at rest.
 TRACKER = TrackerGains()
-UPSIDE_DOWN = (-5.0, 10.0, -10.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-BODY = 13  # numbers of a vehicle's state
+UPSIDE_DOWN = Body((-5.0, 10.0, -10.0), ZERO, (0.0, 1.0, 0.0, 0.0), ZERO)
+
+_IN_PLANE = size(InPlane)  # numbers per virtual follower
+_load_in_plane, _store_in_plane = line_loader(InPlane), line_storer(InPlane)
+_load_body, _store_body = line_loader(Body), line_storer(Body)
 
 
 class Planar(NamedTuple):
@@ -100,13 +112,28 @@ def grid(duration: float, step: float) -> Floats:
 
 @device
 def leader_at(kind: int, table: Floats, t: float) -> Leader:
+    """A leader that is the trajectory itself, at time `t`, s."""
     r = evaluate(kind, table, t)
     return Leader(r.p, r.v, r.a, r.j, r.s)
 
 
 @device
 def vector(x: Any) -> Vector:
+    """The three components `x` of a vector."""
     return (x[0], x[1], x[2])
+
+
+def columns(kind: Any, x: Floats) -> dict[str, Floats]:
+    """The fields, by name, of records that lie along the last axis of `x`; numbers lose that axis."""
+    return {
+        name: x[..., where] if where.stop - where.start > 1 else x[..., where.start]
+        for name, where in slices(kind).items()
+    }
+
+
+def pairs(z: NDArray[np.complex128]) -> Floats:
+    """Vectors of the plane as pairs of components, a new last axis."""
+    return np.stack([z.real, z.imag], axis=-1)
 
 
 # -- figures 2 and 3 --------------------------------------------------------------------------------
@@ -115,7 +142,8 @@ def vector(x: Any) -> Vector:
 @device
 def _virtual(y: Any, height: float) -> Virtual:
     """A virtual follower in the plane, waiting at its height (`d_z = 0`)."""
-    return Virtual(complex(y[0], y[1]), y[2], y[3], y[4], complex(y[5], y[6]), height, 0.0)
+    f = _load_in_plane(y)
+    return Virtual(f.p, f.theta, f.u, f.omega, f.xi, height, 0.0)
 
 
 @kernel
@@ -126,29 +154,27 @@ def _planar_rate(
     leader = leader_at(kind, table, t)
     rate = np.empty_like(y)
     for i in range(len(offsets)):
-        k = _PLANAR * i
-        f = _virtual(y[k : k + _PLANAR], leader.p[2])
+        k = _IN_PLANE * i
+        f = _virtual(y[k:], leader.p[2])
         r = planner_derivative(f, leader, vector(offsets[i]), law)
-        rate[k], rate[k + 1], rate[k + 2] = r.p.real, r.p.imag, r.theta
-        rate[k + 3], rate[k + 4] = r.u, r.omega
-        rate[k + 5], rate[k + 6] = r.xi.real, r.xi.imag
+        _store_in_plane(rate[k:], InPlane(r.p, r.theta, r.u, r.omega, r.xi))
     return rate
 
 
 @kernel
 def _planar_errors(
     t: Floats, y: Floats, kind: int, table: Floats, offsets: Floats, law: PlannerLaw
-) -> Floats:
-    """`e1`, `e2` of each follower at each time, `(T, n, 4)`."""
-    out = np.empty((len(t), len(offsets), 4))
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """`e1`, `e2` of each follower at each time, `(T, n)` each."""
+    e1 = np.empty((len(t), len(offsets)), dtype=np.complex128)
+    e2 = np.empty_like(e1)
     for k in range(len(t)):
         leader = leader_at(kind, table, t[k])
         for i in range(len(offsets)):
-            f = _virtual(y[k, _PLANAR * i : _PLANAR * (i + 1)], leader.p[2])
+            f = _virtual(y[k, _IN_PLANE * i :], leader.p[2])
             e = planner_errors(f, plane(leader.p), plane(leader.v), plane(vector(offsets[i])), law)
-            out[k, i, 0], out[k, i, 1] = e.e1.real, e.e1.imag
-            out[k, i, 2], out[k, i, 3] = e.e2.real, e.e2.imag
-    return out
+            e1[k, i], e2[k, i] = e.e1, e.e2
+    return e1, e2
 
 
 def planar(duration: float = 60.0, step: float = 0.02, path: Trajectory = EIGHT) -> Planar:
@@ -158,25 +184,20 @@ def planar(duration: float = 60.0, step: float = 0.02, path: Trajectory = EIGHT)
     """
     t = grid(duration, step)
     fixed = (path.kind, path.table, np.array(OFFSETS), PLANNER.law())
-    y = integrate(_planar_rate, np.ravel(STARTS), t, *fixed)
-    e = _planar_errors(t, y, *fixed)
-    x = y.reshape(len(t), len(OFFSETS), _PLANAR)
+    y = integrate(_planar_rate, np.array(flatten(STARTS)), t, *fixed)
+    e1, e2 = _planar_errors(t, y, *fixed)
+    x = columns(InPlane, y.reshape(len(t), len(OFFSETS), _IN_PLANE))
     leader = path(t)[:, 0, :2]
-    return Planar(t, leader, x[..., :2], x[..., 2], x[..., 3], x[..., 4], e[..., :2], e[..., 2:])
+    return Planar(t, leader, x["p"], x["theta"], x["u"], x["omega"], pairs(e1), pairs(e2))
 
 
 # -- figures 4 and 5 --------------------------------------------------------------------------------
 
 
 @device
-def _attitude(y: Any) -> Quaternion:
+def unit_attitude(b: Body) -> Body:
     """The exact flow keeps the quaternion's length; this takes off what the integrator adds."""
-    return normalise((y[6], y[7], y[8], y[9]))
-
-
-@device
-def body_of(y: Any) -> Body:
-    return Body(vector(y), (y[3], y[4], y[5]), _attitude(y), (y[10], y[11], y[12]))
+    return Body(b.p, b.v, normalise(b.q), b.w)
 
 
 @device
@@ -192,51 +213,63 @@ def flown(b: Body, ref: Reference, airframe: Airframe, law: TrackerLaw) -> Body:
     return body_derivative(b, applied, ZERO, MOMENT, airframe)
 
 
-@device
-def put_body(out: Any, r: Body) -> None:
-    for k in range(3):
-        out[k], out[3 + k], out[10 + k] = r.p[k], r.v[k], r.w[k]
-    for k in range(4):
-        out[6 + k] = r.q[k]
-
-
 @kernel
 def _flight_rate(
     t: float, y: Floats, kind: int, table: Floats, airframe: Airframe, law: TrackerLaw
 ) -> Floats:
     """A quadrotor flown along the trajectory, whose four derivatives are exact."""
     rate = np.empty_like(y)
-    put_body(rate, flown(body_of(y), evaluate(kind, table, t), airframe, law))
+    b = unit_attitude(_load_body(y))
+    _store_body(rate, flown(b, evaluate(kind, table, t), airframe, law))
     return rate
 
 
+class History(NamedTuple):
+    """What the tracker computes along a flight, at T times."""
+
+    thrust: Floats  # (T,) N
+    alignment: Floats  # (T,) r3 . r3d
+    lyapunov: Floats  # (T,) V4
+    lyapunov_rate: Floats  # (T,) V4_dot
+    e1: Floats  # (T, 3) m
+    e2: Floats  # (T, 3) m/s
+    e3: Floats  # (T, 3)
+    e4: Floats  # (T, 3) rad/s
+
+
 @kernel
-def _flight_history(
-    t: Floats, y: Floats, kind: int, table: Floats, airframe: Airframe, law: TrackerLaw
-) -> Floats:
-    """Thrust, `r3 . r3d`, `V4`, `V4_dot` and the four errors at each time, `(T, 16)`."""
-    out = np.empty((len(t), 16))
+def _fill_history(
+    t: Floats,
+    y: Floats,
+    kind: int,
+    table: Floats,
+    airframe: Airframe,
+    law: TrackerLaw,
+    history: History,
+) -> None:
+    """Fill in the history of the states `y` `(T, 13)`."""
     for k in range(len(t)):
         ref = evaluate(kind, table, t[k])
-        m = _motion(body_of(y[k]))
+        m = _motion(unit_attitude(_load_body(y[k])))
         v = certificate(m, ref, law)
         e = tracker_errors(m, ref, law)
-        out[k, 0] = torque(m, ref, airframe.mass, law).thrust
-        out[k, 1] = dot(m.R[2], pointing(m, tracker_outer(m, ref, law), law).r3d)
-        out[k, 2], out[k, 3] = v.V4, v.V4_dot
+        history.thrust[k] = torque(m, ref, airframe.mass, law).thrust
+        history.alignment[k] = dot(m.R[2], pointing(m, tracker_outer(m, ref, law), law).r3d)
+        history.lyapunov[k], history.lyapunov_rate[k] = v.V4, v.V4_dot
         for i in range(3):
-            out[k, 4 + i], out[k, 7 + i] = e.e1[i], e.e2[i]
-            out[k, 10 + i], out[k, 13 + i] = e.e3[i], e.e4[i]
-    return out
+            history.e1[k, i], history.e2[k, i] = e.e1[i], e.e2[i]
+            history.e3[k, i], history.e4[k, i] = e.e3[i], e.e4[i]
 
 
 def flight(duration: float = 30.0, step: float = 0.01) -> Flight:
     """III-C, controller test: a vehicle released upside down, far from the trajectory (31)."""
     t = grid(duration, step)
     fixed = (EIGHT.kind, EIGHT.table, AIRFRAME, TRACKER.law())
-    y = integrate(_flight_rate, np.array(UPSIDE_DOWN), t, *fixed)
-    h = _flight_history(t, y, *fixed)
-    q = y[:, 6:10] / np.linalg.norm(y[:, 6:10], axis=1, keepdims=True)
-    e1, e2, e3, e4 = np.split(h[:, 4:], 4, axis=1)
+    y = integrate(_flight_rate, np.array(flatten(UPSIDE_DOWN)), t, *fixed)
+    n = len(t)
+    h = History(*(np.empty(n) for _ in range(4)), *(np.empty((n, 3)) for _ in range(4)))
+    _fill_history(t, y, *fixed, h)
+    body = columns(Body, y)
+    q = body["q"] / np.linalg.norm(body["q"], axis=1, keepdims=True)
     path = EIGHT(t)[:, 0]
-    return Flight(t, y[:, :3], q, path, h[:, 0], e1, e2, e3, e4, h[:, 2], h[:, 3], h[:, 1])
+    return Flight(t, body["p"], q, path, **h._asdict())

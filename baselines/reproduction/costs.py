@@ -7,7 +7,7 @@ derived exactly, which only the trajectory itself allows.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,16 +15,15 @@ from baselines.reproduction import sampled
 from baselines.reproduction.claims import Cost
 from baselines.reproduction.continuous import (
     AIRFRAME,
-    BODY,
     EIGHT,
     PLANNER,
     TRACKER,
-    body_of,
+    columns,
     flown,
     grid,
     integrate,
     leader_at,
-    put_body,
+    unit_attitude,
     vector,
 )
 from formation_env._jit import device, kernel
@@ -33,7 +32,8 @@ from formation_env.feedforward import full_reference
 from formation_env.planner import Leader, PlannerLaw, Virtual, place, plane
 from formation_env.planner import derivative as planner_derivative
 from formation_env.planner import reference as planner_reference
-from formation_env.quadrotor import Airframe
+from formation_env.quadrotor import Airframe, Body
+from formation_env.records import line_loader, line_storer, size
 from formation_env.references import Floats, Reference
 from formation_env.scenarios import configure
 from formation_env.so3 import ZERO, Vector
@@ -54,12 +54,15 @@ def _fed(f: Virtual, leader: Leader, d: Vector, law: PlannerLaw, mode: int) -> R
     return full_reference(f, leader, d, law)
 
 
-@device
-def _follower(y: Any) -> Virtual:
-    return Virtual(complex(y[0], y[1]), y[2], y[3], y[4], complex(y[5], y[6]), y[7], y[8])
+class Pair(NamedTuple):
+    """The state that is integrated."""
+
+    follower: Virtual
+    vehicle: Body
 
 
-_FOLLOWER = 9
+_NUMBERS = size(Pair)
+_load, _store = line_loader(Pair), line_storer(Pair)
 
 
 @kernel
@@ -76,13 +79,11 @@ def _pair_rate(
 ) -> Floats:
     """A virtual follower and the quadrotor that flies along it."""
     leader = leader_at(kind, table, t)
-    f = _follower(y)
-    r = planner_derivative(f, leader, vector(d), planner)
+    pair = _load(y)
+    r = planner_derivative(pair.follower, leader, vector(d), planner)
+    ref = _fed(pair.follower, leader, vector(d), planner, mode)
     rate = np.empty_like(y)
-    rate[0], rate[1], rate[2], rate[3], rate[4] = r.p.real, r.p.imag, r.theta, r.u, r.omega
-    rate[5], rate[6], rate[7], rate[8] = r.xi.real, r.xi.imag, r.z, r.w
-    ref = _fed(f, leader, vector(d), planner, mode)
-    put_body(rate[_FOLLOWER:], flown(body_of(y[_FOLLOWER:]), ref, airframe, law))
+    _store(rate, Pair(r, flown(unit_attitude(pair.vehicle), ref, airframe, law)))
     return rate
 
 
@@ -92,10 +93,8 @@ def _pair_start(kind: int, table: Floats, d: Floats, planner: PlannerLaw, world:
     leader = leader_at(kind, table, 0.0)
     v = plane(leader.v)
     f = place(leader.p, leader.v, vector(d), v / abs(v), True)
-    y = np.empty(_FOLLOWER + BODY)
-    y[0], y[1], y[2], y[3], y[4] = f.p.real, f.p.imag, f.theta, f.u, f.omega
-    y[5], y[6], y[7], y[8] = f.xi.real, f.xi.imag, f.z, f.w
-    put_body(y[_FOLLOWER:], trimmed(full_reference(f, leader, vector(d), planner), world))
+    y = np.empty(_NUMBERS)
+    _store(y, Pair(f, trimmed(full_reference(f, leader, vector(d), planner), world)))
     return y
 
 
@@ -120,8 +119,9 @@ def tracking_error(mode: int, d: Vector, world: World, duration: float = 60.0) -
         TRACKER.law(),
         mode,
     )
-    late = y[t >= min(20.0, 0.5 * duration)]
-    gap = late[:, _FOLLOWER : _FOLLOWER + 3] - late[:, [0, 1, 7]]
+    late = columns(Pair, y[t >= min(20.0, 0.5 * duration)])
+    follower, vehicle = columns(Virtual, late["follower"]), columns(Body, late["vehicle"])
+    gap = vehicle["p"] - np.column_stack([follower["p"], follower["z"]])
     return float(np.sqrt((gap**2).sum(axis=1).mean()))
 
 

@@ -143,14 +143,14 @@ def _height_limits(ax: Any, run: Run) -> None:
 
 
 def _tracker_errors(run: Run, path: Path) -> None:
-    names = ("e1 (m)", "e2 (m/s)", "e3", "e4 (rad/s)")
+    names = {"e1": "e1 (m)", "e2": "e2 (m/s)", "e3": "e3", "e4": "e4 (rad/s)"}
     speed = run.v[:, 0, 1:] - run.virtual_v[:, 0]
     truth = (run.tracking[:, 0], speed)
     with picture(path, 10.0, 7.6) as figure:
         axes = figure.subplots(4, 2, sharex=True, sharey="row")
         for i in range(2):
-            for k, name in enumerate(names):
-                ax, e = axes[k, i], run.tracker[:, 0, i, 3 * k : 3 * k + 3]
+            for k, (error, name) in enumerate(names.items()):
+                ax, e = axes[k, i], run.tracker[error][:, 0, i]
                 if k < 2:
                     components(ax, run.t, e, linewidth=0.4, alpha=0.3)
                     components(ax, run.t, truth[k][:, i], linewidth=1.2)
@@ -181,9 +181,9 @@ def _planner_errors(run: Run, path: Path) -> None:
     names = ("e1 (m)", "e2 (m)", r"$e_z$ (m)")
     on = run.clock[:, 0] > 0.0
     t = run.t[on]
-    measured = np.split(run.planner[on, 0], (2, 4), axis=-1)
+    measured = [e[on, 0] for e in run.planner.values()]
     height = run.p[:, :, :1, 2] - run.virtual_p[..., 2] - np.array(run.config.offsets)[:, 2]
-    truth = (*np.split(run.planner_true[on, 0], 2, axis=-1), height[on, 0, :, None])
+    truth = (*(e[on, 0] for e in run.planner_true.values()), height[on, 0, :, None])
     with picture(path, 10.0, 6.2) as figure:
         axes = figure.subplots(3, 2, sharex=True, sharey="row")
         for i in range(2):

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.policies.expert import Expert
+from baselines.reproduction.continuous import pairs, vector
 from formation_env import FormationConfig
 from formation_env._jit import kernel
-from formation_env.planner import PlannerLaw, Virtual
+from formation_env.planner import PlannerLaw, Virtual, plane
 from formation_env.planner import errors as planner_errors
 from formation_env.references import Floats
 from formation_env.scenarios import configure
@@ -25,6 +26,9 @@ from formation_env.simulation import Simulation, seeded_key
 AFTER_TRIGGER = 80.0  # s, what the figures show once the trigger (40) has fired
 TRANSIENT = 15.0  # s after the trigger, not part of the steady state
 PATIENCE = 120.0  # s, for the trigger
+
+
+Errors = dict[str, Floats]  # by name
 
 
 class Run(NamedTuple):
@@ -40,9 +44,9 @@ class Run(NamedTuple):
     estimate: Floats  # (T, W, 3) leader's acceleration as follower 1 observes it, m/s^2
     virtual_p: Floats  # (T, W, n, 3) m
     virtual_v: Floats  # (T, W, n, 3) m/s
-    planner: Floats  # (T, W, n, 5): e1 (2), e2 (2), e_z as the planner measures them, m
-    planner_true: Floats  # (T, W, n, 4): e1 (2), e2 (2) with the leader's true motion, m
-    tracker: Floats  # (T, W, n, 12): e1 to e4 as the tracker measures them
+    planner: Errors  # e1, e2 (T, W, n, 2), ez (T, W, n, 1) as the planner measures them, m
+    planner_true: Errors  # e1, e2 (T, W, n, 2) with the leader's true motion, m
+    tracker: Errors  # e1 to e4 (T, W, n, 3) as the tracker measures them
 
     @property
     def tracking(self) -> Floats:
@@ -120,10 +124,11 @@ def _collect(
     config: FormationConfig, simulation: Simulation, seed: int, rows: list[dict[str, Floats]]
 ) -> Run:
     x = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    measured = np.concatenate([x["planner_e1"], x["planner_e2"], x["planner_ez"]], -1)
-    state = np.concatenate([x["virtual_p"][..., :2], x["heading"], x["speed"], x["turn_rate"]], -1)
-    true = _planner_errors(x["p"], x["v"], state, np.array(config.offsets), config.planner.law())
-    tracker = np.concatenate([x[f"tracker_e{k}"] for k in (1, 2, 3, 4)], -1)
+    heading, speed, turn_rate = (x[name][..., 0] for name in ("heading", "speed", "turn_rate"))
+    offsets, law = np.array(config.offsets), config.planner.law()
+    e1, e2 = _planner_errors(
+        x["p"], x["v"], x["virtual_p"], heading, speed, turn_rate, offsets, law
+    )
     return Run(
         config,
         seed,
@@ -135,26 +140,33 @@ def _collect(
         x["estimate"],
         x["virtual_p"],
         x["virtual_v"],
-        measured,
-        true,
-        tracker,
+        {name: x[f"planner_{name}"] for name in ("e1", "e2", "ez")},
+        {"e1": pairs(e1), "e2": pairs(e2)},
+        {name: x[f"tracker_{name}"] for name in ("e1", "e2", "e3", "e4")},
     )
 
 
 @kernel
 def _planner_errors(
-    p: Floats, v: Floats, state: Floats, offsets: Floats, law: PlannerLaw
-) -> Floats:
-    """`e1` (7) and `e2` (11) of virtual followers `p_x, p_y, theta, u, omega` behind the true leader."""
-    out = np.empty((*state.shape[:3], 4))
-    for k in range(state.shape[0]):
-        for w in range(state.shape[1]):
-            p_L = complex(p[k, w, 0, 0], p[k, w, 0, 1])
-            v_L = complex(v[k, w, 0, 0], v[k, w, 0, 1])
-            for i in range(state.shape[2]):
-                x = state[k, w, i]
-                f = Virtual(complex(x[0], x[1]), x[2], x[3], x[4], 0j, 0.0, 0.0)
-                e = planner_errors(f, p_L, v_L, complex(offsets[i, 0], offsets[i, 1]), law)
-                out[k, w, i, 0], out[k, w, i, 1] = e.e1.real, e.e1.imag
-                out[k, w, i, 2], out[k, w, i, 3] = e.e2.real, e.e2.imag
-    return out
+    p: Floats,
+    v: Floats,
+    virtual_p: Floats,
+    heading: Floats,
+    speed: Floats,
+    turn_rate: Floats,
+    offsets: Floats,
+    law: PlannerLaw,
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """`e1` (7) and `e2` (11) of virtual followers behind the true leader, `(T, W, n)` each, m."""
+    e1 = np.empty(heading.shape, dtype=np.complex128)
+    e2 = np.empty_like(e1)
+    times, worlds, followers = heading.shape
+    for k in range(times):
+        for w in range(worlds):
+            p_L, v_L = plane(vector(p[k, w, 0])), plane(vector(v[k, w, 0]))
+            for i in range(followers):
+                at, d = plane(vector(virtual_p[k, w, i])), plane(vector(offsets[i]))
+                theta, u, omega = heading[k, w, i], speed[k, w, i], turn_rate[k, w, i]
+                e = planner_errors(Virtual(at, theta, u, omega, 0j, 0.0, 0.0), p_L, v_L, d, law)
+                e1[k, w, i], e2[k, w, i] = e.e1, e.e2
+    return e1, e2

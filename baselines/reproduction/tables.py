@@ -79,12 +79,12 @@ def formation(run: Run) -> Table:
         for k in (1, 2, 3, 4):
             names += _named(f"f{i + 1}_e{k}", _XYZ)
         names += [f"f{i + 1}_e{k}_{a}_true" for k in (1, 2) for a in _XYZ]
-        columns += [run.tracker[:, 0, i], run.tracking[:, 0, i]]
+        columns += [*(e[:, 0, i] for e in run.tracker.values()), run.tracking[:, 0, i]]
         columns += [run.v[:, 0, 1 + i] - run.virtual_v[:, 0, i]]
     for i in range(n):
         names += _named(f"v{i + 1}", ("e1_x", "e1_y", "e2_x", "e2_y", "ez"))
         names += [f"v{i + 1}_{e}_true" for e in ("e1_x", "e1_y", "e2_x", "e2_y")]
-        columns += [run.planner[:, 0, i], run.planner_true[:, 0, i]]
+        columns += [e[:, 0, i] for e in (*run.planner.values(), *run.planner_true.values())]
     names += ["dist_leader_f1", "dist_leader_f2", "dist_f1_f2"]
     return Table(tuple(names), np.column_stack([*columns, run.distances[:, 0]]))
 
