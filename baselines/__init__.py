@@ -2,17 +2,30 @@
 
 from typing import TYPE_CHECKING, Any
 
-from baselines.policy import Policy
+from baselines.own import PolicyError
+from baselines.policies.base import EpisodeWarning, Policy
+from baselines.policies.transfer import TransferWarning
+from baselines.policies.tuned import UntunedWarning
 from baselines.registry import METHODS, POLICIES, make_policy
 
 if TYPE_CHECKING:
     from baselines.evaluate import evaluate as evaluate
 
-__all__ = ["METHODS", "POLICIES", "Policy", "evaluate", "make_policy"]
+__all__ = [
+    "METHODS",
+    "POLICIES",
+    "EpisodeWarning",
+    "Policy",
+    "PolicyError",
+    "TransferWarning",
+    "UntunedWarning",
+    "evaluate",
+    "make_policy",
+]
 
 
 def __getattr__(name: str) -> Any:
-    # Later, because `python -m baselines.evaluate` runs the module anew; importing it sets the attribute.
+    # Not at the top: `python -m baselines.evaluate` runs the module anew. Importing it sets the attribute.
     if name == "evaluate":
         import importlib
 

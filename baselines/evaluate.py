@@ -5,9 +5,10 @@ same episodes: world i of a scenario has the seed `seed + i`, as `gym.make(...).
 Hover and the expert always fly, because they are the 0 and the 1 of the score. Results do not depend on the
 number of threads, nor on whether the episodes are shared out over a Ray cluster (`--ray`).
 
-Writes the full report, `results.json` (layout: see `baselines.report`) and `results.md`, into the output
-folder, then prints scores and failures. `--leaderboard` also writes `LEADERBOARD.md` and the README's
-extract of it. From Python the same is `baselines.evaluate(policies, scenarios)`: this module can be called.
+Writes the full report, `results.json` (layout: see `baselines.reporting.report`) and `results.md`, into the
+output folder, then prints scores and failures. `--leaderboard` also writes `LEADERBOARD.md` and the
+README's extract of it. From Python the same is `baselines.evaluate(policies, scenarios)`: this module can be
+called.
 """
 
 from __future__ import annotations
@@ -25,18 +26,29 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, final
 
-from baselines import board, cluster, console, options, report, scoring, terminal
 from baselines.own import PolicyError, label
-from baselines.progress import compiling
 from baselines.registry import available
-from baselines.scoring import EPISODES, Fleet, Report
-from baselines.tasks import changed, check_scenario, tasks
-from baselines.writing import FolderTaken, claim, write_text
+from baselines.reporting import board, report
+from baselines.scoring import cluster, options
+from baselines.scoring import evaluation as scoring
+from baselines.scoring.evaluation import EPISODES, Executor
+from baselines.scoring.results import Report, summary
+from baselines.scoring.tasks import changed, check_scenario, tasks
+from baselines.system import console
+from baselines.system.progress import compiling
+from baselines.system.text import wrapped
+from baselines.system.writing import FolderTaken, claim, write_text
 from formation_env import SCENARIOS, FormationConfig
 from formation_env.checks import integer
 
-# Of the leaderboard: the tasks at their own action level, and those with policies at the others.
-SHOWN = (*SCENARIOS, "nominal:rates", "nominal:reference", "paper:rates", "paper:reference")
+# Of the leaderboard: scenarios at their own action level, and those with shipped policies at the others.
+BOARD_SCENARIOS = (
+    *SCENARIOS,
+    "nominal:rates",
+    "nominal:reference",
+    "paper:rates",
+    "paper:reference",
+)
 FILES = ("results.json", "results.md")
 
 
@@ -71,9 +83,9 @@ def evaluate(
     named = _by_name(policies)
     with compiling(quiet):
         configs = _configurations(scenarios)
-        crews = scoring.enlist_all(configs, named)
-        scoring.warm(configs, crews)
-    return scoring.evaluate(configs, named, episodes, seed, threads, quiet, crews=crews)
+        flyable = scoring.find_flyable_with_anchors(configs, named)
+        scoring.warm(configs, flyable)
+    return scoring.evaluate(configs, named, episodes, seed, threads, quiet, flyable=flyable)
 
 
 def _by_name(policies: Any) -> dict[str, Any]:
@@ -111,8 +123,8 @@ def _configurations(scenarios: Any) -> dict[str, FormationConfig]:
 
 
 @contextmanager
-def _fleet(given: argparse.Namespace) -> Iterator[Fleet | None]:
-    """What flies the episodes, while it is there. Raises `ClusterError`."""
+def _executor(given: argparse.Namespace) -> Iterator[Executor | None]:
+    """Within, what flies the episodes on a cluster; None without one. Raises `ClusterError`."""
     if not given.ray:
         yield None
         return
@@ -123,8 +135,8 @@ def _fleet(given: argparse.Namespace) -> Iterator[Fleet | None]:
 def _configs(given: argparse.Namespace) -> dict[str, FormationConfig]:
     """The chosen tasks. Raises `ValueError` naming task and field."""
     if given.scenarios is None:
-        everything = list(SCENARIOS if given.leaderboard is None else SHOWN)
-        given.scenarios = [] if given.config else everything
+        all_scenarios = list(SCENARIOS if given.leaderboard is None else BOARD_SCENARIOS)
+        given.scenarios = [] if given.config else all_scenarios
     return tasks(
         given.scenarios, given.config, given.settings, given.sweeps, given.action, given.duration
     )
@@ -156,11 +168,13 @@ def _claim(given: argparse.Namespace, stack: ExitStack) -> None:
                 raise ValueError(f"{folder / name} is a folder: expected a file or nothing")
 
 
-def _command(given: argparse.Namespace, everybody: list[str]) -> str:
+def _command(given: argparse.Namespace, available_policies: list[str]) -> str:
     """The command that repeats the figures: without what does not change them."""
     words = ["python -m baselines.evaluate"]
-    everything = [] if given.config else list(SCENARIOS if given.leaderboard is None else SHOWN)
-    for name, chosen in {"policies": everybody, "scenarios": everything}.items():
+    all_scenarios = (
+        [] if given.config else list(SCENARIOS if given.leaderboard is None else BOARD_SCENARIOS)
+    )
+    for name, chosen in {"policies": available_policies, "scenarios": all_scenarios}.items():
         if getattr(given, name) != chosen:
             words.append(f"--{name} {shlex.quote(','.join(getattr(given, name)))}")
     words += [f"--config {shlex.quote(str(path))}" for path in given.config]
@@ -177,7 +191,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
     parser = options.parser()
     given = parser.parse_args(arguments)
-    with ExitStack() as stack, _collected_warnings() as told:
+    with ExitStack() as stack, _collected_warnings() as collected:
         try:
             flown, command = _fly(given, parser, stack)
         except (cluster.ClusterError, PolicyError) as problem:
@@ -193,7 +207,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except OSError as problem:
             console.complain(f"{parser.prog}: error: {problem}; earlier results are kept")
             return 1
-    _print(flown, told, written)
+    _print(flown, collected, written)
     return 0
 
 
@@ -209,39 +223,39 @@ def _fly(
             raise ValueError("argument --address: only with --ray")
         with compiling():
             configs = _configs(given)
-            everybody = available(configs.values())
-            given.policies = getattr(given, "policies", everybody)
-            crews = scoring.enlist_all(configs, given.policies)
+            available_policies = available(configs.values())
+            given.policies = getattr(given, "policies", available_policies)
+            flyable = scoring.find_flyable_with_anchors(configs, given.policies)
             _claim(given, stack)
             if not given.ray:
-                scoring.warm(configs, crews)
+                scoring.warm(configs, flyable)
     except ValueError as problem:
         parser.error(str(problem))
     try:
-        with _fleet(given) as fleet:
+        with _executor(given) as executor:
             g = given
             flown = scoring.evaluate(
-                configs, g.policies, g.episodes, g.seed, g.threads, False, fleet, crews
+                configs, g.policies, g.episodes, g.seed, g.threads, False, executor, flyable
             )
     except cluster.Unreachable as problem:
         parser.error(str(problem))
-    return flown, _command(given, everybody)
+    return flown, _command(given, available_policies)
 
 
 @contextmanager
 def _collected_warnings() -> Iterator[list[warnings.WarningMessage]]:
     """Within, warnings are kept for the end instead of printed across the bar; shown if there is none."""
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as collected:
         try:
-            yield told
+            yield collected
         except BaseException:
-            for text in _texts(told):
-                console.complain(terminal.wrapped(text))
+            for text in _texts(collected):
+                console.complain(wrapped(text))
             raise
 
 
-def _texts(told: Sequence[warnings.WarningMessage]) -> list[str]:
-    return list(dict.fromkeys(f"warning: {' '.join(str(w.message).split())}" for w in told))
+def _texts(collected: Sequence[warnings.WarningMessage]) -> list[str]:
+    return list(dict.fromkeys(f"warning: {' '.join(str(w.message).split())}" for w in collected))
 
 
 def _write(result: Report, given: argparse.Namespace, command: str) -> list[Path]:
@@ -257,14 +271,14 @@ def _write(result: Report, given: argparse.Namespace, command: str) -> list[Path
 
 
 def _print(
-    result: Report, told: Sequence[warnings.WarningMessage], written: Sequence[Path]
+    result: Report, collected: Sequence[warnings.WarningMessage], written: Sequence[Path]
 ) -> None:
     """What ends a run: scores, failures, warnings, and where the rest is."""
-    console.say(terminal.summary(result))
-    if _texts(told):
-        console.say("\n" + "\n".join(map(terminal.wrapped, _texts(told))))
+    console.say(summary(result))
+    if _texts(collected):
+        console.say("\n" + "\n".join(map(wrapped, _texts(collected))))
     files = ", ".join(map(str, written))
-    console.say("\n" + terminal.wrapped(f"intervals, all metrics and remarks: {files}"))
+    console.say("\n" + wrapped(f"intervals, all metrics and remarks: {files}"))
 
 
 @final

@@ -22,8 +22,8 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.reading import file_name, read_bytes
-from baselines.writing import write_bytes
+from baselines.system.reading import file_name, read_bytes
+from baselines.system.writing import write_bytes
 from formation_env.checks import require, shortened, shown
 from formation_env.config import LEVELS
 from formation_env.task import Layout
@@ -272,7 +272,7 @@ def save(path: str | os.PathLike[str], card: Card, network: Network) -> None:
         if len(data) > LARGEST:
             raise ValueError(f"{len(data)} bytes: expected at most {LARGEST}")
     except ValueError as problem:
-        raise ValueError(told(path, problem)) from None
+        raise ValueError(located(path, problem)) from None
     try:
         write_bytes(path, data)
     except OSError as problem:
@@ -292,10 +292,10 @@ def load(path: str | os.PathLike[str]) -> tuple[Card, Network]:
         card = _read_card(metadata.get(_KEY))
         return card, _check_tensors(card, tensors)
     except ValueError as problem:
-        raise ValueError(told(path, problem)) from None
+        raise ValueError(located(path, problem)) from None
 
 
-def told(path: str | os.PathLike[str], problem: object) -> str:
+def located(path: str | os.PathLike[str], problem: object) -> str:
     """What is amiss with a file, in a message that is `shortened`; of a long path its end."""
     text = os.fspath(path)
     place = text if len(text) <= _LONGEST_PATH else f"... {text[-_LONGEST_PATH:]}"

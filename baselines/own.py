@@ -33,9 +33,9 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.learned import Misfit
-from baselines.policy import Policy, Rows
-from baselines.reading import require_regular
+from baselines.policies.base import Policy, Rows
+from baselines.policies.learned import Misfit
+from baselines.system.reading import require_regular
 from formation_env import FormationConfig
 from formation_env.checks import shown
 from formation_env.faces import read_action

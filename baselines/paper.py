@@ -8,7 +8,6 @@ the environment's sampled loop. Figures 1 and 10 are drawings without numbers.
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 import json
 import sys
@@ -18,15 +17,15 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from baselines import console
-from baselines.options import Parser, formatter, whole
 from baselines.reproduction import continuous, sampled, tables
 from baselines.reproduction.claims import Claim, Cost, claim_table, cost_table
 from baselines.reproduction.claims_continuous import flight_claims, planar_claims
 from baselines.reproduction.claims_experiment import experiment_claims
 from baselines.reproduction.claims_formation import formation_claims
 from baselines.reproduction.costs import feedforward_costs
-from baselines.writing import claim, write_text
+from baselines.system import console
+from baselines.system.arguments import Parser, whole
+from baselines.system.writing import claim, write_text
 from formation_env.config import NO_NOISE
 from formation_env.feasibility import FeasibilityWarning
 
@@ -115,13 +114,13 @@ def reproduce(
     out.mkdir(parents=True, exist_ok=True)
     claims: list[Claim] = []
     for numbers, simulate in GROUPS.items():
-        shown = sorted(wanted.intersection(numbers))
-        if shown:
-            console.complain(f"figures {', '.join(map(str, shown))} ...")
+        drawn = sorted(wanted.intersection(numbers))
+        if drawn:
+            console.complain(f"figures {', '.join(map(str, drawn))} ...")
             found, columns, motions = simulate(seed, worlds)
             claims += found
             digits = 9 if numbers in (PLANAR, FLIGHT) else 6
-            for number in shown:
+            for number in drawn:
                 tables.write_csv(out / f"fig{number:02d}.csv", columns[number], digits)
                 if plots:
                     _draw(number, motions[number], out / f"fig{number:02d}.png")
@@ -140,33 +139,34 @@ def _draw(number: int, motion: Any, path: Path) -> None:
     plots.draw(number, motion, path)
 
 
-def _arguments(argv: Sequence[str] | None) -> tuple[Parser, argparse.Namespace]:
-    parser = Parser(
-        prog="formation-paper",
-        description="Redo the paper's figures and measure its claims.",
-        formatter_class=formatter,
-        allow_abbrev=False,
-    )
-    add = parser.add_argument
+def parser() -> Parser:
+    """The options of the command, none of them read yet."""
+    own = Parser("formation-paper", "Redo the paper's figures and measure the claims of its text.")
+    add = own.add_argument
     add("--out", type=Path, default=Path("results/paper"), metavar="DIR",
-        help="output folder (default: results/paper)")  # fmt: skip
+        help="Folder that pictures, CSV files and summary.json are written to. "
+        "(default: %(default)s)")  # fmt: skip
     add("--figures", type=int, nargs="+", choices=FIGURES, default=FIGURES, metavar="N",
-        help="some figures only (default: all, 2 to 9 and 11 to 14)")  # fmt: skip
+        help="Numbers of the paper's figures to redo, of 2 to 9 and 11 to 14. "
+        "(default: all of them)")  # fmt: skip
     add("--seed", type=whole(0, 2**32), default=0, metavar="N",
-        help="seed of the run that is drawn (default: 0)")  # fmt: skip
+        help="Seed of the run that is drawn. (default: %(default)s)")  # fmt: skip
     add("--seeds", type=whole(1, 100_000), default=20, metavar="N",
-        help="number of runs that claims about noise are measured on (default: 20)")  # fmt: skip
-    add("--no-plots", action="store_true", help="write numbers only; needs no Matplotlib")
-    return parser, parser.parse_args(argv)
+        help="Number of runs, with seeds from --seed on, that claims about noise are measured on. "
+        "(default: %(default)s)")  # fmt: skip
+    add("--no-plots", action="store_true",
+        help="Write no pictures, which alone need Matplotlib. (default: off)")  # fmt: skip
+    return own
 
 
 @console.command
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of `formation-paper`; returns the exit status, or raises `SystemExit` with one line on
     the standard error for a wrong option. The files are written before anything is printed."""
-    parser, args = _arguments(argv)
+    own = parser()
+    args = own.parse_args(argv)
     if not args.no_plots and importlib.util.find_spec("matplotlib") is None:
-        parser.error(
+        own.error(
             'the pictures need Matplotlib: pip install "formation-env[plot]" '
             "(or leave them out with --no-plots)"
         )
@@ -180,7 +180,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 )
         except OSError as problem:
             reason = problem.strerror or problem
-            console.complain(f"{parser.prog}: error: cannot write to {args.out}: {reason}")
+            console.complain(f"{own.prog}: error: cannot write to {args.out}: {reason}")
             return 1
         except KeyboardInterrupt:
             console.complain(f"interrupted: what is in {args.out} may be incomplete")

@@ -8,19 +8,19 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from baselines import own
-from baselines.expert import Expert
 from baselines.files import SUFFIX, Card, load
-from baselines.learned import Learned, Misfit, require_fit
-from baselines.policy import Policy
-from baselines.simple import Hover, Pd, Random
-from baselines.tuned import ExpertTuned
+from baselines.policies.base import Policy
+from baselines.policies.expert import Expert
+from baselines.policies.learned import Learned, Misfit, require_fit
+from baselines.policies.simple import Hover, Pd, Random
+from baselines.policies.tuned import ExpertTuned
 from formation_env import FormationConfig
 from formation_env.checks import require
 
 POLICIES: dict[str, type[Policy]] = {
     policy.name: policy for policy in (Expert, ExpertTuned, Pd, Hover, Random)
 }
-# Ways of learning. What they made is shipped in files, one for a scenario and action level.
+# Ways of learning, whose policies are shipped as files, one for a scenario and action level.
 METHODS = (
     "ppo",
     "bc",
@@ -31,13 +31,13 @@ METHODS = (
     "residual-dagger",
     "residual-dagger-ppo",
 )
-SHIPPED = Path(__file__).parent / "policies"
-# A scenario without a file of its own is flown by the one of this scenario, which has not seen it.
+SHIPPED = Path(__file__).parent / "policies"  # the folder of their files
+# A scenario without a file of its own is flown by the file of this one, untrained for the other.
 USUAL = "nominal"
 
 
 class Recipe(NamedTuple):
-    """How a policy is made, as often as wanted, and for files what is in them."""
+    """How to make a policy for a configuration, and for a policy file what it holds."""
 
     make: Callable[[FormationConfig], Policy]
     file: str = ""  # its name without the folder
@@ -81,7 +81,7 @@ def recipe(policy: Any, config: FormationConfig) -> Recipe:
             return Recipe(POLICIES[policy])
         if policy in METHODS or policy.endswith(SUFFIX):
             return _from_file(policy, config)
-    own.make(config, policy)  # tells what is amiss before anything flies
+    own.make(config, policy)  # raises for what is amiss before anything flies
     return Recipe(partial(own.make, source=policy), own=own.label(policy))
 
 

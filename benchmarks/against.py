@@ -29,9 +29,9 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
-from baselines.console import command, complain, say
-from baselines.options import Parser, above_zero, formatter, seconds, whole
-from baselines.writing import write_text
+from baselines.system.arguments import Parser, above_zero, seconds, whole
+from baselines.system.console import command, complain, say
+from baselines.system.writing import write_text
 from benchmarks import startup
 from benchmarks.timing import ratio
 
@@ -135,42 +135,39 @@ def _file(text: str) -> Path:
 
 
 def parser() -> Parser:
-    """The options."""
+    """The options of the command, none of them read yet."""
     own = Parser(
-        prog="benchmarks.against",
-        description="Time this checkout against another one, in turn, and print the ratios.\n"
-        "With the defaults: two compilations of about a minute each, then half a minute\n"
-        "a turn.",
-        formatter_class=formatter,
-        allow_abbrev=False,
+        "benchmarks.against",
+        "Time this checkout against another one, in turn, and print the ratios. With the defaults: two "
+        "compilations of about a minute each, then half a minute a turn.",
     )
     add = own.add_argument
     add("checkout", type=_checkout, metavar="CHECKOUT",
-        help="folder of the other checkout of this package")  # fmt: skip
+        help="Folder of the other checkout of this package. (required)")  # fmt: skip
     add("--turns", type=whole(1, 1000), default=5, metavar="N",
-        help="number of turns of each checkout (default: %(default)s)")  # fmt: skip
+        help="Number of turns of each checkout. (default: %(default)s)")  # fmt: skip
     add("--points", type=_points, default=list(POINTS), metavar="NAMES",
-        help="comma-separated points to time: gym.make and pettingzoo (one world), vector-WORLDS (random "
-        "actions), expert-WORLDS (flown by the expert); "
-        f"default: {', '.join(POINTS)}")  # fmt: skip
+        help="Points to time, separated by commas: gym.make and pettingzoo (one world), vector-WORLDS "
+        "(random actions), expert-WORLDS (flown by the expert). "
+        f"(default: {', '.join(POINTS)})")  # fmt: skip
     add("--scenario", choices=("nominal", "paper"), default="nominal", metavar="NAME",
-        help="scenario that is flown, nominal or paper (default: %(default)s)")  # fmt: skip
+        help="Scenario that is flown, nominal or paper. (default: %(default)s)")  # fmt: skip
     add("--threads", type=whole(1, 1024), default=1, metavar="N",
-        help="number of threads of the vector environments (default: %(default)s)")  # fmt: skip
+        help="Number of threads of the vector environments. (default: %(default)s)")  # fmt: skip
     add("--compile", type=whole(0, 100), default=1, metavar="N",
-        help="number of times that the first step of gym.make is timed with an empty cache, about a "
-        "minute for each checkout; once is needed anyway, and 0 only hides its time "
+        help="Number of times that the first step of gym.make is timed with an empty cache, about a "
+        "minute for each checkout; once is needed anyway, and 0 only hides its time. "
         "(default: %(default)s)")  # fmt: skip
     add("--rounds", type=whole(1, 1000), default=15, metavar="N",
-        help="number of samples of a point in a turn, of which the least is kept "
+        help="Number of samples of a point in a turn, of which the least is kept. "
         "(default: %(default)s)")  # fmt: skip
     add("--seconds", type=seconds, default=0.05, metavar="S",
-        help="length of a sample in seconds (default: %(default)s)")  # fmt: skip
+        help="Length of a sample in seconds. (default: %(default)s)")  # fmt: skip
     add("--least", type=above_zero("a ratio above 0"), metavar="RATIO",
-        help="exit with status 1 if the speed of a point is below this ratio "
-        "(default: status 0 whatever the ratios)")  # fmt: skip
+        help="Exit with status 1 if the speed of a point is below this ratio. "
+        "(default: none; status 0 whatever the ratios)")  # fmt: skip
     add("--output", type=_file, metavar="FILE",
-        help="also write the figures of every turn, in seconds, to this JSON file "
+        help="JSON file that the figures of every turn, in seconds, are also written to. "
         "(default: no file)")  # fmt: skip
     return own
 
@@ -202,11 +199,11 @@ def _compiled(roots: Mapping[str, Path], folder: Path, count: int) -> dict[str, 
     return taken
 
 
-def _turn(root: Path, folder: Path, cache: Path, told: str) -> dict[str, float]:
+def _turn(root: Path, folder: Path, cache: Path, request: str) -> dict[str, float]:
     """Seconds a step of each point of the checkout `root`, timed by the `benchmarks` in `folder`."""
     try:
         figures = startup.printed(
-            startup.python("-m", "benchmarks.turn", told, path=[folder, root], cache=cache)
+            startup.python("-m", "benchmarks.turn", request, path=[folder, root], cache=cache)
         )
     except subprocess.CalledProcessError as problem:
         raise _failed(root, problem) from None
@@ -219,7 +216,7 @@ def measure(options: argparse.Namespace) -> dict[str, Times]:
     """Seconds of each checkout, point and turn. Raises `Failed`."""
     roots = {"this": startup.ROOT, "other": options.checkout}
     names = ("points", "scenario", "threads", "rounds", "seconds")
-    told = json.dumps({name: getattr(options, name) for name in names})
+    request = json.dumps({name: getattr(options, name) for name in names})
     times: dict[str, Times] = {side: {point: [] for point in options.points} for side in SIDES}
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -229,7 +226,7 @@ def measure(options: argparse.Namespace) -> dict[str, Times]:
         for turn, order in enumerate(_turns(options.turns), 1):
             complain(f"turn {turn} of {options.turns}: {', '.join(order)}")
             for side in order:
-                for point, value in _turn(roots[side], folder, folder / side, told).items():
+                for point, value in _turn(roots[side], folder, folder / side, request).items():
                     times[side][point].append(value)
     if options.compile:
         for side in SIDES:

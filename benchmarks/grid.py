@@ -43,19 +43,19 @@ def task(point: Point) -> FormationConfig:
     return in_flight(point.scenario, followers=point.followers, action=point.action)
 
 
-def returned_bytes(value: Any, seen: set[int] | None = None) -> int:
+def returned_bytes(value: Any, counted: set[int] | None = None) -> int:
     """Memory of the arrays in a step's result, arrays that share it counted once."""
-    seen = set() if seen is None else seen
+    counted = set() if counted is None else counted
     if isinstance(value, np.ndarray):
         while isinstance(value.base, np.ndarray):
             value = value.base
-        fresh = id(value) not in seen
-        seen.add(id(value))
+        fresh = id(value) not in counted
+        counted.add(id(value))
         return value.nbytes if fresh else 0
     if isinstance(value, dict):
         value = tuple(value.values())
     if isinstance(value, tuple):
-        return sum(returned_bytes(item, seen) for item in value)
+        return sum(returned_bytes(item, counted) for item in value)
     return 0
 
 

@@ -7,7 +7,6 @@ arguments it was last given, and so is an empty kernel: what that one takes is t
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -22,11 +21,13 @@ import numpy as np
 from numba import njit
 from numba.core.dispatcher import Dispatcher
 
+from baselines.system.arguments import Parser, whole
+from baselines.system.console import command, say
 from benchmarks.report import table
 from benchmarks.timing import Sampler, in_turn
 from formation_env import formation_v0, kernels, simulation
 
-# Steps after which a flight begins anew, so that all layers are timed in the same sky.
+# Steps after which a flight begins anew, so that all layers are timed in the same states.
 _FLIGHT = 100
 
 
@@ -122,16 +123,28 @@ def profile(name: str, samplers: dict[str, Sampler], rounds: int) -> str:
     return table(head, rows)
 
 
+def parser() -> Parser:
+    """The options of the command, none of them read yet."""
+    own = Parser(
+        "benchmarks.profile",
+        "Time each layer of one step, of gym.make and of PettingZoo, from the outermost wrapper to the "
+        "compiled kernel.",
+    )
+    own.add_argument("--rounds", type=whole(1, 1000), default=15, metavar="N",
+        help="Number of samples of each layer, of which the median is taken. "
+        "(default: %(default)s)")  # fmt: skip
+    return own
+
+
+@command
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the two tables; returns the exit status."""
-    parser = argparse.ArgumentParser("benchmarks.profile", description=__doc__.split("\n")[0])
-    parser.add_argument("--rounds", type=int, default=15, help="samples of each layer, default 15")
-    rounds = max(1, parser.parse_args(arguments).rounds)
+    rounds = parser().parse_args(arguments).rounds
     single = layers(gym.make("Formation-v0"), np.zeros(8, dtype=np.float32), 2)
-    print(profile("gym.make", single, rounds), end="\n\n")
+    say(profile("gym.make", single, rounds) + "\n")
     env = formation_v0.parallel_env(followers=3)
     actions = {agent: np.zeros(4, dtype=np.float32) for agent in env.possible_agents}
-    print(profile("PettingZoo", layers(env, actions, 3), rounds))
+    say(profile("PettingZoo", layers(env, actions, 3), rounds))
     return 0
 
 

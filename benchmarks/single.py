@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium as gym
 
 from baselines.registry import make_policy
-from baselines.rollout import fly
+from baselines.scoring.rollout import fly
 from benchmarks import peers
 from benchmarks.grid import Point, task
 from benchmarks.steps import gym_steps, parallel_steps, policy_steps, random_steps, steps_only
@@ -167,10 +167,10 @@ def _bare_flight(config: Any, worlds: int) -> Sampler:
         return simulation.reset().observations
 
     policy.reset(seed=0, worlds=worlds)
-    seen, recorded = begin(), []
+    observations, recorded = begin(), []
     for _ in range(config.max_steps):
-        recorded.append(policy.act(seen))
-        seen = simulation.step(recorded[-1]).observations
+        recorded.append(policy.act(observations))
+        observations = simulation.step(recorded[-1]).observations
 
     def sample(count: int) -> float:
         total = 0.0

@@ -23,8 +23,8 @@ import numba
 import numpy as np
 
 import formation_env
-from baselines import console
-from baselines.options import above_zero
+from baselines.system import console
+from baselines.system.arguments import Parser, above_zero, whole
 from benchmarks import grid, report, single, startup
 from formation_env.config import LEVELS
 from formation_env.formations import MAX_FOLLOWERS
@@ -60,105 +60,98 @@ def _names(allowed: Sequence[str]) -> Callable[[str], list[str]]:
     return read
 
 
+# Defaults of the options, and of those that `--quick` has others for.
+FULL: dict[str, Any] = {
+    "worlds": [1, 16, 256, 4096, 65536],
+    "followers": [2, 16, 256],
+    "actions": list(LEVELS),
+    "rounds": 7,
+    "seconds": 0.05,
+    "peers": True,
+    "startup": True,
+}
+QUICK: dict[str, Any] = {
+    "worlds": [1, 256, 4096],
+    "followers": [2, 16],
+    "actions": ["wrench"],
+    "rounds": 3,
+    "seconds": 0.02,
+    "peers": True,
+    "startup": False,
+}
+
+
+def _default(name: str) -> str:
+    """The default of an option for its help."""
+    full, quick = (_text(defaults[name]) for defaults in (FULL, QUICK))
+    return f"(default: {full})" if full == quick else f"(default: {full}; with --quick {quick})"
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return ",".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+def parser() -> Parser:
+    """The options of the command, none of them read yet."""
+    own = Parser(
+        "benchmarks.throughput",
+        "Time the environment beside its neighbours and beside a bare kernel that only flies the rigid "
+        "bodies.",
+    )
+    _add_points(own)
+    _add_samples(own)
+    return own
+
+
+def _add_points(own: Parser) -> None:
+    """Options that decide what is timed."""
+    add = own.add_argument
+    add("--quick", action="store_true",
+        help="Time fewer combinations in fewer rounds, without start-up times. "
+        "(default: off)")  # fmt: skip
+    add("--worlds", type=_numbers, metavar="N,N",
+        help=f"Numbers of worlds, separated by commas. {_default('worlds')}")  # fmt: skip
+    add("--followers", type=_followers, metavar="N,N",
+        help=f"Numbers of followers, separated by commas. {_default('followers')}")  # fmt: skip
+    add("--threads", type=_numbers, default=[1, 2], metavar="N,N",
+        help="Numbers of threads, separated by commas. (default: 1,2)")  # fmt: skip
+    add("--scenarios", type=_names(("nominal", "paper")), default=["nominal", "paper"],
+        metavar="NAMES",
+        help="Scenarios to time, separated by commas. (default: nominal,paper)")  # fmt: skip
+    add("--actions", type=_names(tuple(LEVELS)), metavar="NAMES",
+        help="Action levels, separated by commas; all but the first are timed at the first number of "
+        f"followers only. {_default('actions')}")  # fmt: skip
+    add("--peers", action=argparse.BooleanOptionalAction,
+        help=f"Time the neighbours that are installed, too. {_default('peers')}")  # fmt: skip
+    add("--startup", action=argparse.BooleanOptionalAction,
+        help="Measure import, first compile and growth of memory, too. "
+        f"{_default('startup')}")  # fmt: skip
+
+
+def _add_samples(own: Parser) -> None:
+    """Options that decide how it is timed, and where the figures go."""
+    add = own.add_argument
+    add("--rounds", type=whole(1, 10**7), metavar="N",
+        help=f"Number of samples of each figure, of which the median is taken. "
+        f"{_default('rounds')}")  # fmt: skip
+    add("--seconds", type=above_zero("a number above 0"), metavar="S",
+        help=f"Length of a sample in seconds. {_default('seconds')}")  # fmt: skip
+    add("--memory", type=above_zero("a number above 0"), default=8.0, metavar="GIB",
+        help="Memory in GiB that a combination may need; what needs more is left out. "
+        "(default: %(default)s)")  # fmt: skip
+    add("--output", type=Path, default=Path("results/benchmarks"), metavar="DIR",
+        help="Folder that throughput.json, throughput.md and throughput.png are written to. "
+        "(default: %(default)s)")  # fmt: skip
+
+
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     """The options; `--quick` changes the defaults of those not given."""
-    parser = argparse.ArgumentParser(
-        "benchmarks.throughput",
-        description="Time the environment beside its neighbours and beside a bare kernel.",
-    )
-    add = parser.add_argument
-    add("--quick", action="store_true", help="fewer combinations and rounds, and no start-up times")
-    add(
-        "--worlds",
-        type=_numbers,
-        metavar="N,N",
-        help="numbers of worlds (default: 1,16,256,4096,65536; quick: 1,256,4096)",
-    )
-    add(
-        "--followers",
-        type=_followers,
-        metavar="N,N",
-        help="numbers of followers (default: 2,16,256; quick: 2,16)",
-    )
-    add(
-        "--threads",
-        type=_numbers,
-        default=[1, 2],
-        metavar="N,N",
-        help="numbers of threads (default: 1,2)",
-    )
-    add(
-        "--scenarios",
-        type=_names(("nominal", "paper")),
-        default=["nominal", "paper"],
-        metavar="NAMES",
-        help="nominal, paper or both (default: both)",
-    )
-    add(
-        "--actions",
-        type=_names(tuple(LEVELS)),
-        metavar="NAMES",
-        help="action levels; all but the first are timed at the first number of followers only "
-        "(default: all; quick: wrench)",
-    )
-    add(
-        "--rounds",
-        type=_numbers,
-        metavar="N",
-        help="number of samples of each figure (default: 7; quick: 3)",
-    )
-    add(
-        "--seconds",
-        type=above_zero("a number above 0"),
-        metavar="S",
-        help="length of a sample in seconds (default: 0.05; quick: 0.02)",
-    )
-    add(
-        "--memory",
-        type=above_zero("a number above 0"),
-        default=8.0,
-        metavar="GIB",
-        help="memory in GiB beyond which a combination is left out (default: 8)",
-    )
-    add(
-        "--peers",
-        action=argparse.BooleanOptionalAction,
-        default=True,
-        help="time the neighbours that are installed too (default: yes)",
-    )
-    add(
-        "--startup",
-        action=argparse.BooleanOptionalAction,
-        help="measure import, compiling and growth of memory too (default: yes; quick: no)",
-    )
-    add(
-        "--output",
-        type=Path,
-        default=Path("results/benchmarks"),
-        metavar="DIR",
-        help="folder for the figures (default: results/benchmarks)",
-    )
-    options = parser.parse_args(arguments)
-    full = {
-        "worlds": [1, 16, 256, 4096, 65536],
-        "followers": [2, 16, 256],
-        "actions": list(LEVELS),
-        "rounds": [7],
-        "seconds": 0.05,
-        "startup": True,
-    }
-    quick = {
-        "worlds": [1, 256, 4096],
-        "followers": [2, 16],
-        "actions": ["wrench"],
-        "rounds": [3],
-        "seconds": 0.02,
-        "startup": False,
-    }
-    for name, value in (quick if options.quick else full).items():
+    options = parser().parse_args(arguments)
+    for name, value in (QUICK if options.quick else FULL).items():
         if getattr(options, name) is None:
             setattr(options, name, value)
-    options.rounds = options.rounds[0]
     return options
 
 

@@ -1,4 +1,4 @@
-"""One turn of `benchmarks.against`: times the points it is told, of the package that is imported here.
+"""One turn of `benchmarks.against`: times the points asked for, of the package that is imported here.
 
 It runs in a process of its own and imports only public names of the package, since the package may be
 another checkout's. Called with its options as JSON; prints the figures as JSON.
@@ -35,11 +35,12 @@ def sampler(point: str, scenario: str, threads: int) -> Sampler:
 
 def main() -> None:
     """Time the points in turn, `rounds` samples of `seconds` each, and print the least of each."""
-    told = json.loads(sys.argv[1])
+    request = json.loads(sys.argv[1])
     samplers = {
-        point: sampler(point, told["scenario"], told["threads"]) for point in told["points"]
+        point: sampler(point, request["scenario"], request["threads"])
+        for point in request["points"]
     }
-    times = in_turn(samplers, told["rounds"], told["seconds"])
+    times = in_turn(samplers, request["rounds"], request["seconds"])
     least = {point: min(samples) for point, samples in times.items()}
     print(json.dumps({"package": formation_env.__file__, "seconds": least}))
 

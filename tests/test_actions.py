@@ -8,7 +8,7 @@ from closed_loop import PROPERTY, agree, vectors
 from hypothesis import given
 from hypothesis import strategies as st
 
-from baselines.actions import (
+from baselines.policies.actions import (
     acceleration_action,
     clipped,
     clipped_or_zero,

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from baselines import cluster
 from baselines import evaluate as command
+from baselines.scoring import cluster
 from train import rllib
 
 

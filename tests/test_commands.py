@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import os
 import re
@@ -24,7 +25,19 @@ SCRIPTS: dict[str, str] = tomllib.loads((ROOT / "pyproject.toml").read_text(enco
 ]["scripts"]
 MODULES = {target.partition(":")[0]: name for name, target in SCRIPTS.items()}
 # They need a checkout and are not installed.
-CHECKOUT = ("train.cards", "benchmarks.against", "benchmarks.recurrence", "benchmarks.throughput")
+CHECKOUT = (
+    "train.cards",
+    "benchmarks.against",
+    "benchmarks.profile",
+    "benchmarks.recurrence",
+    "benchmarks.throughput",
+)
+# Where the commands of `baselines` and `benchmarks` make their parsers.
+PARSERS = {
+    module: "baselines.scoring.options" if module == "baselines.evaluate" else module
+    for module in (*MODULES, *CHECKOUT)
+    if not module.startswith("train.")
+}
 
 
 def helped(
@@ -58,6 +71,41 @@ def test_help_fits_and_is_the_scripts_own(
     assert len(lines) > 8
     assert [line for line in lines if len(line) > 80] == []
     assert lines[0].startswith(f"usage: {MODULES.get(module, module)} ")
+
+
+def test_every_command_is_known() -> None:
+    """All files that run as a command, but for the process that `benchmarks.against` starts itself."""
+    folders = [ROOT / "baselines", ROOT / "benchmarks"]
+    files = {path for folder in folders for path in folder.rglob("*.py")}
+    runs = {
+        ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        for path in files
+        if '__name__ == "__main__"' in path.read_text(encoding="utf-8")
+    }
+    assert runs - {"benchmarks.turn"} == set(PARSERS)
+
+
+@pytest.mark.parametrize("columns", [80, 100])
+@pytest.mark.parametrize("module", list(PARSERS))
+def test_every_option_says_what_it_does_and_its_default(
+    module: str, columns: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A full phrase, with a stop, and then the default that the parser has."""
+    monkeypatch.setenv("COLUMNS", str(columns))
+    parser = importlib.import_module(PARSERS[module]).parser()
+    text = parser.format_help()
+    assert max(map(len, text.splitlines())) <= columns
+    options = [action for action in parser._actions if action.dest != "help"]
+    assert options
+    for action in options:
+        said = " ".join((action.help or "").split()) % {**vars(action), "prog": parser.prog}
+        phrase = re.fullmatch(r"[A-Z]\S*( \S+){3,}\. \((default: (?P<default>.+)|required)\)", said)
+        assert phrase, f"{action.option_strings}: {said}"
+        assert said in re.sub(r"\s+", " ", text), "as it is shown"
+        assert (phrase["default"] is None) == action.required, said
+        default = "off" if action.default is False else action.default
+        if isinstance(default, str | int | float | Path) and default != argparse.SUPPRESS:
+            assert re.match(rf"{re.escape(str(default))}(,|;|$)", phrase["default"]), said
 
 
 @pytest.mark.parametrize("module", [m for m in MODULES if m.startswith("train.")])

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 from numba.core import event
 
-from baselines import console, progress, scoring
+from baselines.scoring import evaluation as scoring
+from baselines.system import console, progress
 from formation_env import configure
 from formation_env._jit import kernel
 

@@ -14,11 +14,13 @@ import numpy as np
 import pytest
 
 from baselines import evaluate as command
-from baselines import make_policy, rollout
-from baselines.metrics import EPISODE
-from baselines.report import to_json
-from baselines.scoring import Report, evaluate
-from baselines.writing import claim
+from baselines import make_policy
+from baselines.reporting.report import to_json
+from baselines.scoring import rollout
+from baselines.scoring.evaluation import evaluate
+from baselines.scoring.metrics import EPISODE
+from baselines.scoring.results import Report
+from baselines.system.writing import claim
 from formation_env import SCENARIOS, configure
 
 SHORT = 4.0  # s
@@ -256,7 +258,7 @@ def test_warnings_come_once_and_last(
         warnings.warn("gains of another scenario", UserWarning, stacklevel=1)
         return fly(*args, **options)
 
-    monkeypatch.setattr("baselines.scoring.fly", warned)
+    monkeypatch.setattr("baselines.scoring.evaluation.fly", warned)
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         assert command.main([*QUICK, "--output", str(tmp_path)]) == 0
@@ -277,7 +279,7 @@ def test_interruption_stops_the_flight(
         if (most is not None) == early:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("baselines.scoring.fly", interrupted)
+    monkeypatch.setattr("baselines.scoring.evaluation.fly", interrupted)
     assert command.main([*QUICK, "--output", str(tmp_path)]) == 130
     assert "nothing was written" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

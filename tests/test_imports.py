@@ -61,6 +61,12 @@ def test_imports_keep_the_contracts() -> None:
         ("formation_env/quadrotor.py", "import baselines", "Packages"),
         ("baselines/__init__.py", "import torch", "need no learning library"),
         ("formation_env/helpers.py", "", "Layers of formation_env"),
+        ("baselines/policies/base.py", "import baselines.scoring.rollout", "Layers of baselines "),
+        ("baselines/policies/base.py", "import baselines.policies.expert", "baselines.policies"),
+        ("baselines/scoring/metrics.py", "import baselines.scoring.rollout", "baselines.scoring"),
+        ("baselines/system/reading.py", "import baselines.system.text", "baselines.system"),
+        ("baselines/reporting/cells.py", "import baselines.reporting.board", "baselines.reporting"),
+        ("baselines/reproduction/helpers.py", "", "baselines.reproduction"),
     ],
 )
 def test_contracts_notice_a_wrong_import(

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baselines.intervals import Estimate, estimate, mean, normalised, summarise
-from baselines.metrics import EPISODE, KINDS, SETTLED, add_tick, begin, episodes
 from baselines.registry import make_policy
-from baselines.rollout import fly as fly_policy
+from baselines.scoring.intervals import Estimate, estimate, mean, normalised, summarise
+from baselines.scoring.metrics import EPISODE, KINDS, SETTLED, add_tick, begin, episodes
+from baselines.scoring.rollout import fly as fly_policy
 from formation_env import FormationConfig, configure, splines
 from formation_env.memory import ERROR, FAILED, OUTPUTS, SEPARATION, SLOT
 from formation_env.task import COLLISION
@@ -57,8 +57,7 @@ def fly(
         outputs[0, :, SEPARATION] = 0.7 - 0.001 * k
         last = k == ticks - 1
         outputs[0, :, FAILED] = failed if last else 0
-        ends = np.full((3, 2), np.nan)
-        ends[:, 0] = rewards[k], last and (failed > 0 or leader_only), k == TICKS - 1
+        terminated = np.array([last and (failed > 0 or leader_only), True])
         now = np.stack([actions[k], np.full((2, 4), np.nan, dtype=np.float32)])
         living = add_tick(
             tally,
@@ -67,7 +66,9 @@ def fly(
             np.array([k + 1 >= trigger, True]),
             leaders,
             outputs,
-            ends,
+            np.array([rewards[k], np.nan]),
+            terminated,
+            np.array([k == TICKS - 1, True]),
             now,
             before,
             OFFSETS,

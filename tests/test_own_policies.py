@@ -13,8 +13,8 @@ import pytest
 import baselines
 from baselines import Policy, evaluate, make_policy
 from baselines.own import PolicyError, is_source
-from baselines.rollout import fly
-from baselines.simple import Pd
+from baselines.policies.simple import Pd
+from baselines.scoring.rollout import fly
 from formation_env import FormationConfig, configure
 
 CODE = """
@@ -245,3 +245,11 @@ def test_wrong_arguments_from_python(options: dict[str, Any], message: str) -> N
 def test_what_names_code() -> None:
     assert all(map(is_source, ("a:B", "a.b:C", "dir/file.py:D", r"C:\dir\file.py:E")))
     assert not any(map(is_source, ("a", ":B", "a:", "a:1", "a: b c", "dir/file.safetensors")))
+
+
+def test_names_for_users_are_in_the_package_itself() -> None:
+    """Wherever their modules lie."""
+    for name in ("PolicyError", "EpisodeWarning", "TransferWarning", "UntunedWarning"):
+        assert issubclass(getattr(baselines, name), Exception)
+    assert baselines.PolicyError is PolicyError
+    assert set(baselines.__all__) <= {*dir(baselines), "evaluate"}

@@ -23,7 +23,7 @@ from baselines.reproduction.claims_continuous import (
 )
 from baselines.reproduction.claims_formation import predicted_correlation
 from baselines.reproduction.continuous import Flight, Planar
-from baselines.writing import claim
+from baselines.system.writing import claim
 from formation_env.config import NO_NOISE
 from formation_env.scenarios import configure
 

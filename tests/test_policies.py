@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baselines import POLICIES, expert_lanes, make_policy
-from baselines.expert import Expert
-from baselines.policy import Policy
+from baselines import POLICIES, make_policy
+from baselines.policies import expert_lanes
+from baselines.policies.expert import Expert
+from baselines.policies.base import Policy
 from formation_env import FormationConfig, configure
 from formation_env.memory import ERROR
 from formation_env.quadrotor import GRAVITY

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 import formation_env
 from baselines import make_policy
-from baselines.expert import Expert
 from baselines.files import Card, Network
-from baselines.learned import Learned
-from baselines.new_episodes import DOUBTFUL, NEW, Watch
-from baselines.policy import EpisodeWarning, Policy, Rows
-from baselines.tuned import ExpertTuned, own
+from baselines.policies.base import EpisodeWarning, Policy, Rows
+from baselines.policies.expert import Expert
+from baselines.policies.learned import Learned
+from baselines.policies.new_episodes import DOUBTFUL, NEW, Watch
+from baselines.policies.tuned import ExpertTuned, own
 from formation_env import SCENARIOS, FormationConfig, configure
 from formation_env.env import FormationEnv
 from formation_env.sensors import Noise

@@ -20,14 +20,14 @@ from safetensors.numpy import save as serialise
 
 from baselines import evaluate as command
 from baselines import files, make_policy, registry
-from baselines.board import BEGIN, END
-from baselines.expert import Expert
 from baselines.files import Card, Network, load, save
-from baselines.learned import Learned, Misfit
-from baselines.policy import Policy
-from baselines.scoring import enlist, evaluate
-from baselines.transfer import TransferWarning
-from baselines.tuned import read
+from baselines.policies.base import Policy
+from baselines.policies.expert import Expert
+from baselines.policies.learned import Learned, Misfit
+from baselines.policies.transfer import TransferWarning
+from baselines.policies.tuned import read
+from baselines.reporting.board import BEGIN, END
+from baselines.scoring.evaluation import evaluate, find_flyable
 from formation_env import FeasibilityWarning, FormationConfig, configure
 from formation_env.checks import LONGEST
 from formation_env.scenarios import PAPER_NOISE
@@ -476,7 +476,7 @@ def test_forward_pass(activation: str, hidden: tuple[int, ...]) -> None:
     assert (np.abs(actions) < 1.0).any() and np.ptp(actions) > 1.0
 
 
-@pytest.mark.filterwarnings("ignore::baselines.transfer.TransferWarning")
+@pytest.mark.filterwarnings("ignore::baselines.policies.transfer.TransferWarning")
 @pytest.mark.parametrize("hidden", [(), (37, 51), (128, 128)])
 @pytest.mark.parametrize("history", [1, 3])
 def test_a_row_is_independent_of_the_others(hidden: tuple[int, ...], history: int) -> None:
@@ -520,7 +520,7 @@ def test_history_is_stacked_newest_last_and_begins_anew() -> None:
     assert np.array_equal(policy.act(seen[0]), actions[0])
 
 
-@pytest.mark.filterwarnings("ignore::baselines.transfer.TransferWarning")
+@pytest.mark.filterwarnings("ignore::baselines.policies.transfer.TransferWarning")
 @pytest.mark.parametrize("level", ["wrench", "rates", "reference"])
 def test_residual_policies_add_to_the_expert(level: str) -> None:
     config = configure("paper", action=level)
@@ -665,7 +665,7 @@ def test_policies_without_memory_go_on(name: str) -> None:
 # -- scoring --------------------------------------------------------------------------------------
 
 
-@pytest.mark.filterwarnings("ignore::baselines.transfer.TransferWarning")
+@pytest.mark.filterwarnings("ignore::baselines.policies.transfer.TransferWarning")
 def test_a_file_is_scored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """From the command line, also where it has no place on a scenario; threads change nothing."""
     path = tmp_path / "my policy.safetensors"
@@ -734,7 +734,7 @@ def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-@pytest.mark.filterwarnings("ignore::baselines.transfer.TransferWarning")
+@pytest.mark.filterwarnings("ignore::baselines.policies.transfer.TransferWarning")
 def test_methods_fly_their_scenarios_file_or_that_of_nominal(shipped: Path) -> None:
     rows = looks(3)
     for scenario, used in (("nominal", "nominal"), ("paper", "paper"), ("agile", "nominal")):
@@ -749,7 +749,7 @@ def test_methods_fly_their_scenarios_file_or_that_of_nominal(shipped: Path) -> N
         make_policy("bc", NOMINAL)
 
 
-@pytest.mark.filterwarnings("ignore::baselines.transfer.TransferWarning")
+@pytest.mark.filterwarnings("ignore::baselines.policies.transfer.TransferWarning")
 @pytest.mark.usefixtures("shipped")
 def test_shipped_methods_are_scored_unasked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -775,9 +775,9 @@ def test_shipped_methods_are_scored_unasked(
 @pytest.mark.usefixtures("shipped")
 def test_reports_of_policies_that_fly_here_and_there() -> None:
     configs = {name: configure(name, duration=0.1) for name in ("experiment", "nominal")}
-    crews = enlist(configs, ["ppo", "hover"])
-    assert list(crews["experiment"].recipes) == ["hover"]
-    assert list(crews["experiment"].absent) == ["ppo"]
+    flyable = find_flyable(configs, ["ppo", "hover"])
+    assert list(flyable["experiment"].recipes) == ["hover"]
+    assert list(flyable["experiment"].absent) == ["ppo"]
     report = evaluate(configs, ["ppo", "hover"], episodes=2)
     assert list(report.scenarios["experiment"].results) == ["hover"]
     assert list(report.scenarios["nominal"].results) == ["ppo", "hover"]

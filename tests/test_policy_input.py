@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from baselines import POLICIES, make_policy
-from baselines.expert import Expert
-from baselines.policy import EpisodeWarning, Policy
+from baselines.policies.base import EpisodeWarning, Policy
+from baselines.policies.expert import Expert
+from baselines.policies.transfer import TransferWarning
+from baselines.policies.tuned import ExpertTuned, Gains, UntunedWarning, own
 from baselines.registry import SHIPPED
-from baselines.transfer import TransferWarning
-from baselines.tuned import ExpertTuned, Gains, UntunedWarning, own
 from formation_env import SCENARIOS, configure
 from formation_env.checks import LONGEST
 from formation_env.simulation import Simulation, seeded_key
@@ -150,7 +150,7 @@ def observations(seed: int, level: str, scenario: str, worlds: int = 4) -> np.nd
     return np.clip(rows, -layout.bound, layout.bound).astype(np.float32)
 
 
-@pytest.mark.filterwarnings("ignore::baselines.policy.EpisodeWarning")
+@pytest.mark.filterwarnings("ignore::baselines.policies.base.EpisodeWarning")
 @pytest.mark.parametrize("level", LEVELS)
 @given(seed=st.integers(0, 2**32 - 1), ticks=st.lists(st.integers(0, 3), min_size=1, max_size=6))
 @settings(max_examples=12)
@@ -168,7 +168,7 @@ def test_finite_in_finite_out(level: str, seed: int, ticks: list[int]) -> None:
 
 @pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize("scenario", ["paper", "experiment", "swarm"])
-@pytest.mark.filterwarnings("ignore::baselines.policy.EpisodeWarning")
+@pytest.mark.filterwarnings("ignore::baselines.policies.base.EpisodeWarning")
 def test_finite_in_finite_out_of_other_scenarios(level: str, scenario: str) -> None:
     for policy in crew(level, scenario):
         for seed in range(3):

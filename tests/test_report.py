@@ -7,11 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from baselines import board, make_policy, report, terminal
 from baselines import evaluate as command
-from baselines.explanations import AHEAD, CLIMB, POLES, SLOWER, explanations
-from baselines.metrics import EPISODE
-from baselines.scoring import Report, Scenario, Source, evaluate
+from baselines import make_policy
+from baselines.reporting import board, report
+from baselines.reporting.explanations import AHEAD, CLIMB, POLES, SLOWER, explanations
+from baselines.scoring.evaluation import evaluate
+from baselines.scoring.metrics import EPISODE
+from baselines.scoring.results import Report, Scenario, Source, summary
 from formation_env import configure
 
 SHORT = 4.0  # s
@@ -116,9 +118,9 @@ def elsewhere(scenario: Scenario) -> Scenario:
 @pytest.mark.parametrize("columns", [60, 80, 100])
 def test_the_table_fits_the_terminal(short_report: Report, columns: int) -> None:
     one = elsewhere(short_report.scenarios["nominal"])._replace(absent={"random": "no"})
-    names = [*command.SHOWN, *(f"nominal gust={k}" for k in range(9)), "a" * 30]
+    names = [*command.BOARD_SCENARIOS, *(f"nominal gust={k}" for k in range(9)), "a" * 30]
     result = Report(7, 5, dict.fromkeys(names, one))
-    text = terminal.summary(result, columns)
+    text = summary(result, columns)
     assert max(map(len, text.splitlines())) <= columns
     assert text.count("1.000") == len(names)
     assert len(text.splitlines()) < 100
@@ -126,14 +128,14 @@ def test_the_table_fits_the_terminal(short_report: Report, columns: int) -> None
 
 
 def test_the_table_has_scores_and_failures(short_report: Report) -> None:
-    lines = terminal.summary(short_report, 80).splitlines()
+    lines = summary(short_report, 80).splitlines()
     assert lines[1].split() == ["policy", "nominal", "swarm"]
     assert lines[2].split() == ["expert", "1.000", "1.000"]
     assert [line.split()[0] for line in lines[2:6]] == ["expert", "random", "pd", "hover"]
     failures = lines[lines.index("") + 1 :]
     assert failures[0] == "failed episodes, of 5 (none where empty)"
     assert failures[2].split() == ["random", "5", "5"]
-    assert str(short_report) == terminal.summary(short_report)
+    assert str(short_report) == summary(short_report)
 
 
 # -- the leaderboard ------------------------------------------------------------------------------
@@ -191,5 +193,7 @@ def test_the_checked_in_board_is_marked(root: Path) -> None:
         assert board.FLAWS in text and board.LEGEND in text, name
         (row,) = (line for line in text.split("## Remarks")[0].splitlines() if "| `ppo` |" in line)
         italics = [cell.strip().startswith("*") for cell in row.strip("| ").split(" | ")[1:]]
-        trained = [s in ("nominal", "paper") for s in (n.split(":")[0] for n in command.SHOWN)]
+        trained = [
+            s in ("nominal", "paper") for s in (n.split(":")[0] for n in command.BOARD_SCENARIOS)
+        ]
         assert italics == [not t for t in trained], name

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from baselines import evaluate as command
-from baselines.tasks import read_setting, read_sweep, tasks
+from baselines.scoring.tasks import read_setting, read_sweep, tasks
 from formation_env import FeasibilityWarning, FormationConfig, configure
 
 

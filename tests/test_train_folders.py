@@ -18,7 +18,7 @@ with warnings.catch_warnings():
     import train.learner
     from train.learner import prepare
 
-from baselines.writing import LOCK, claim
+from baselines.system.writing import LOCK, claim
 from train import imitate, ppo, tune_expert
 from train.options import Options
 

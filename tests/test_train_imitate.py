@@ -19,7 +19,7 @@ with warnings.catch_warnings():
     from train.cloning import Clone, Flight, Memory
 
 from baselines import files, make_policy
-from baselines.learned import Learned
+from baselines.policies.learned import Learned
 from formation_env import configure
 from formation_env.simulation import Simulation, seeded_key
 from train.evaluation import TRAINING_SEEDS

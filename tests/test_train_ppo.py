@@ -26,10 +26,10 @@ with warnings.catch_warnings():
     import train.learner
     from train.learner import Run, prepare
 
-from baselines.expert import Expert
 from baselines.files import load
 from baselines.files import save as save_policy
-from baselines.learned import Learned
+from baselines.policies.expert import Expert
+from baselines.policies.learned import Learned
 from formation_env import configure, formation_v0
 from formation_env.memory import REWARD
 from formation_env.vector import FormationVectorEnv

@@ -33,7 +33,7 @@ def test_the_recurrent_policy_remembers_and_forgets_where_an_episode_begins() ->
             state = before + rows.sum(axis=1)
             return np.repeat(state[:, None], 3, axis=1), state
 
-    pilot = recurrence._pilot(config, Sum())
+    pilot = recurrence._policy(config, Sum())
     pilot.reset(worlds=3)
     pilot.act(seen[0])
     pilot.act(seen[1])

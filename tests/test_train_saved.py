@@ -20,7 +20,7 @@ with warnings.catch_warnings():
         pytest.importorskip(module)
     from train.learner import prepare
 
-from baselines.writing import claim, write_bytes
+from baselines.system.writing import claim, write_bytes
 from train import checkpoint, ppo
 from train.options import Options
 

@@ -12,8 +12,8 @@ import pytest
 pytest.importorskip("tyro")
 pytest.importorskip("cma")
 
-from baselines import rollout
-from baselines.tuned import lawful, own, read
+from baselines.policies.tuned import lawful, own, read
+from baselines.scoring import rollout
 from formation_env import SCENARIOS, configure
 from train import tune_expert
 from train.gain_space import PLANNER, REACH, GainSpace

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from baselines import make_policy
-from baselines.expert import Expert
-from baselines.rollout import fly
-from baselines.tuned import ExpertTuned, Gains, UntunedWarning, lawful, own, read
+from baselines.policies.expert import Expert
+from baselines.policies.tuned import ExpertTuned, Gains, UntunedWarning, lawful, own, read
+from baselines.scoring.rollout import fly
 from formation_env import SCENARIOS, FeasibilityWarning, configure
 from formation_env.checks import LONGEST
 from formation_env.simulation import Simulation, seeded_key

@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from baselines import reading
-from baselines.writing import LOCK, FolderTaken, claim, write_bytes, write_text
+from baselines.system import reading
+from baselines.system.writing import LOCK, FolderTaken, claim, write_bytes, write_text
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="signals and modes of Unix")
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from baselines.writing import claim
+from baselines.system.writing import claim
 held = claim(Path(sys.argv[1]))
 print("held", flush=True)
 time.sleep(60)
@@ -27,7 +27,7 @@ time.sleep(60)
 HALF = """
 import os, signal, sys
 from pathlib import Path
-from baselines import writing
+from baselines.system import writing
 writing.os.replace = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
 writing.write_bytes(Path(sys.argv[1]) / "results.json", b"new")
 """
@@ -74,7 +74,7 @@ def test_claims_of_many_turns_exclude_each_other(tmp_path: Path) -> None:
     code = """
 import sys
 from pathlib import Path
-from baselines.writing import FolderTaken, claim
+from baselines.system.writing import FolderTaken, claim
 folder, turns = Path(sys.argv[1]), 0
 while turns < 60:
     try:

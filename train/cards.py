@@ -21,11 +21,11 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NoReturn, final
 
-from baselines import console
-from baselines.cells import scored as shown
-from baselines.cells import signed
-from baselines.scoring import EPISODES
-from baselines.writing import write_text
+from baselines.reporting.cells import scored as shown
+from baselines.reporting.cells import signed
+from baselines.scoring.evaluation import EPISODES
+from baselines.system import console
+from baselines.system.writing import write_text
 from train import guide, shipping
 
 PROGRAM = "train.cards"

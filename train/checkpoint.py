@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from baselines.reading import require_regular
-from baselines.writing import write_bytes
+from baselines.system.reading import require_regular
+from baselines.system.writing import write_bytes
 from formation_env.checks import integer, number, require, shown
 from train.saved import Arrays, fact, moments, take
 

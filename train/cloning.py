@@ -13,9 +13,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from baselines.expert import Expert
 from baselines.files import Card, Network
-from baselines.policy import Policy
+from baselines.policies.base import Policy
+from baselines.policies.expert import Expert
 from formation_env import FormationConfig
 from formation_env.simulation import Simulation, seeded_key
 from formation_env.task import Layout

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from math import isfinite
 from typing import Any, TypeVar
 
-from baselines import console
+from baselines.system import console
 from formation_env import SCENARIOS
 
 T = TypeVar("T")

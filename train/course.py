@@ -15,9 +15,9 @@ import torch
 
 import formation_env
 from baselines import Policy, files, make_policy
-from baselines.console import Lenient
-from baselines.progress import compiling
-from baselines.writing import Claim, claim
+from baselines.system.console import Lenient
+from baselines.system.progress import compiling
+from baselines.system.writing import Claim, claim
 from train.checkpoint import write
 from train.cloning import Clone, Flight, Memory
 from train.evaluation import Judge, Row, line, to_csv

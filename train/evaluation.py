@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import NamedTuple, final
 
-from baselines.expert import Expert
 from baselines.files import Card, Network
-from baselines.intervals import Estimate, estimate, normalised
-from baselines.learned import Learned
-from baselines.policy import Policy
-from baselines.rollout import Episodes, fly_all
-from baselines.simple import Hover
+from baselines.policies.base import Policy
+from baselines.policies.expert import Expert
+from baselines.policies.learned import Learned
+from baselines.policies.simple import Hover
+from baselines.scoring.intervals import Estimate, estimate, normalised
+from baselines.scoring.rollout import Episodes, fly_all
 from formation_env import FormationConfig
 
 # First seeds: the leaderboard's begin at 0; nobody has a million of any.

@@ -19,7 +19,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.tuned import Gains, own, tracker_field
+from baselines.policies.tuned import Gains, own, tracker_field
 from formation_env import FormationConfig
 from formation_env.gains import PlannerGains, TrackerGains
 from formation_env.quadrotor import GRAVITY

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 from baselines import files
 from baselines.files import Card, Network
+from baselines.policies.tuned import GAINS, read
 from baselines.registry import USUAL
-from baselines.tuned import GAINS, read
 from formation_env import SCENARIOS
 from formation_env.config import LEVELS
 from train.logs import Curve, Key, order, read_curve

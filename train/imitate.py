@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Literal, final
 
-from baselines import console
+from baselines.system import console
 from formation_env import FormationConfig, configure
 from train.command_line import check, fail, read, refuse, repeated, wait_passively
 

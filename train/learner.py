@@ -20,8 +20,8 @@ from stable_baselines3.common.logger import configure as configure_logger
 import formation_env
 from baselines import files
 from baselines.files import Card, Network
-from baselines.progress import compiling
-from baselines.writing import Claim, claim
+from baselines.system.progress import compiling
+from baselines.system.writing import Claim, claim
 from formation_env._jit import untold
 from formation_env.checks import integer, number, require
 from train import checkpoint

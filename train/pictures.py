@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.writing import write_bytes
+from baselines.system.writing import write_bytes
 from train.logs import Curve, Key, to_text
 
 Floats = NDArray[np.float64]

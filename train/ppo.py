@@ -15,7 +15,7 @@ import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from baselines import console
+from baselines.system import console
 from train.command_line import DIVERGED, diverged, fail, interruptions, read, wait_passively
 
 if TYPE_CHECKING:

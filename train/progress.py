@@ -7,7 +7,7 @@ from typing import final
 
 from tqdm import tqdm
 
-from baselines.console import Lenient
+from baselines.system.console import Lenient
 from train.evaluation import Row
 
 BAR = "{percentage:3.0f} %|{bar}| {desc} [{elapsed}, {remaining} left]"

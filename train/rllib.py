@@ -18,7 +18,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from baselines import cluster, console
+from baselines.scoring import cluster
+from baselines.system import console
 from train.command_line import fail, interruptions, read, wait_passively
 
 if TYPE_CHECKING:

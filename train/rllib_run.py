@@ -18,8 +18,8 @@ from ray.tune.registry import register_env
 import formation_env
 from baselines import files
 from baselines.files import Card, Network
-from baselines.progress import compiling
-from baselines.writing import Claim, claim
+from baselines.system.progress import compiling
+from baselines.system.writing import Claim, claim
 from train import checkpoint
 from train.evaluation import Judge, line, to_csv
 from train.progress import Progress

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.tuned import FEEDFORWARDS, Gains
+from baselines.policies.tuned import FEEDFORWARDS, Gains
 from train.gain_space import REACH, GainSpace
 
 Point = NDArray[np.float64]

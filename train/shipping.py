@@ -13,11 +13,12 @@ from typing import NamedTuple
 
 from baselines import files
 from baselines.files import SUFFIX, Card, Network
-from baselines.intervals import Estimate
-from baselines.learned import Learned
+from baselines.policies.learned import Learned
 from baselines.registry import METHODS, USUAL
-from baselines.scoring import EPISODES, Result, evaluate
-from baselines.writing import write_text
+from baselines.scoring.evaluation import EPISODES, evaluate
+from baselines.scoring.intervals import Estimate
+from baselines.scoring.results import Result
+from baselines.system.writing import write_text
 from formation_env import SCENARIOS, FeasibilityWarning, FormationConfig, configure, formations
 from formation_env.config import LEVELS
 from train.logs import Curve, Key, read_log, thinned, to_text

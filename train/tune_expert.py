@@ -27,15 +27,16 @@ from typing import Any, NamedTuple, NoReturn, final
 import numpy as np
 
 import formation_env
-from baselines import console, make_policy
-from baselines.intervals import Estimate
-from baselines.policy import Policy
-from baselines.progress import compiling
-from baselines.reading import read_bytes
-from baselines.rollout import fly_all
-from baselines.scoring import Result, judge
-from baselines.tuned import FEEDFORWARDS, VERSION, ExpertTuned, Gains, own, read
-from baselines.writing import claim, write_text
+from baselines import make_policy
+from baselines.policies.base import Policy
+from baselines.policies.tuned import FEEDFORWARDS, VERSION, ExpertTuned, Gains, own, read
+from baselines.scoring.intervals import Estimate
+from baselines.scoring.results import Result, judge
+from baselines.scoring.rollout import fly_all
+from baselines.system import console
+from baselines.system.progress import compiling
+from baselines.system.reading import read_bytes
+from baselines.system.writing import claim, write_text
 from formation_env import FormationConfig, configure
 from formation_env.checks import integer, number, require
 from train.command_line import read as read_options

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 
-from baselines.expert import Expert
+from baselines.policies.expert import Expert
 from formation_env import FormationConfig, faces
 from formation_env.arguments import Fixed, check_options, configured, whole_seed
 from formation_env.checks import boolean, choice, integer, number, refuse

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.expert import Expert
+from baselines.policies.expert import Expert
 from baselines.reproduction.continuous import fields_of, vector
 from formation_env import FormationConfig
 from formation_env._jit import kernel

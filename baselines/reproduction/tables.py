@@ -9,7 +9,7 @@ import numpy as np
 
 from baselines.reproduction.continuous import Flight, Planar
 from baselines.reproduction.sampled import Run
-from baselines.writing import write_text
+from baselines.system.writing import write_text
 from formation_env.references import Floats
 
 _XYZ = ("x", "y", "z")

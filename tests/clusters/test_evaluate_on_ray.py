@@ -15,10 +15,11 @@ import pytest
 
 ray = pytest.importorskip("ray")
 
-from baselines import cluster, files, rollout
 from baselines import evaluate as command
+from baselines import files
 from baselines.registry import recipe
-from baselines.scoring import Flight
+from baselines.scoring import cluster, rollout
+from baselines.scoring.evaluation import Flight
 from formation_env import configure
 
 OPTIONS = ["--scenarios", "nominal,paper", "--episodes", "7", "--duration", "1"]

@@ -11,8 +11,9 @@ import pytest
 ray = pytest.importorskip("ray")
 torch = pytest.importorskip("torch")
 
-from baselines import cluster, files
-from baselines.learned import Learned
+from baselines import files
+from baselines.policies.learned import Learned
+from baselines.scoring import cluster
 from train import checkpoint, rllib
 from train.rllib_module import FollowerModule
 from train.rllib_options import Options

@@ -1,4 +1,4 @@
-"""What an episode is judged by.
+"""The metrics of an episode.
 
 A `Tally` gathers one episode per world tick by tick; `episodes` turns it into the columns of `EPISODE`.
 
@@ -55,7 +55,7 @@ EPISODE = {
     "slot_error_steady": Metric("m", "lower", "the same over the second half of the time limit"),
     "slot_error_max": Metric("m", "lower", "largest slot error in the time of slot_error_rms"),
     "trigger_time": Metric(
-        "s", "lower", "when the trigger (40) fires after reset; 0 where nobody waits for it"
+        "s", "lower", "when the trigger (40) fires after reset; 0 in scenarios that begin after it"
     ),
     "settled": Metric(
         "1",
@@ -85,32 +85,36 @@ EPISODE = {
 class Tally(NamedTuple):
     """What has been gathered, `(worlds,)` each."""
 
-    total: Floats  # sum of rewards
-    earned: Floats  # sum of rewards since the trigger, or since the reset if it has not fired
+    reward_sum: Floats  # sum of rewards
+    reward_since_trigger: (
+        Floats  # sum of rewards since the trigger, or since the reset if it has not fired
+    )
     ticks: NDArray[np.int64]  # flown
-    trigger: NDArray[np.int64]  # tick at which the trigger fired, or -1
-    outside: NDArray[np.int64]  # last tick since then with a follower not within SETTLED
+    trigger_tick: NDArray[np.int64]  # tick at which the trigger fired, or -1
+    last_unsettled: NDArray[np.int64]  # last tick since then with a follower not within SETTLED
     failure: NDArray[np.int64]  # index into KINDS
-    squares: Floats  # m^2, sum over ticks of the followers' mean squared slot error
-    counted: NDArray[np.int64]  # ticks in it
-    largest: Floats  # m
-    steady: Floats  # m^2, as squares, second half
-    steadied: NDArray[np.int64]  # ticks in it
-    from_leader: Floats  # m, largest deviation
-    between: Floats  # m, largest deviation
-    separation: Floats  # m, least
-    effort: Floats  # sum over ticks
-    roughness: Floats  # sum over ticks
+    squared_errors: Floats  # m^2, sum over ticks of the followers' mean squared slot error
+    error_ticks: NDArray[np.int64]  # ticks in that sum
+    largest_error: Floats  # m
+    steady_squared_errors: Floats  # m^2, the same sum over the second half of the time limit
+    steady_ticks: NDArray[np.int64]  # ticks in that sum
+    leader_deviation: Floats  # m, largest of a leader-follower distance from |d|
+    follower_deviation: Floats  # m, largest of a follower-follower distance from that of the slots
+    min_separation: Floats  # m, between two vehicles
+    squared_actions: Floats  # sum over ticks of their mean square
+    squared_changes: Floats  # sum over ticks of the mean squared change from the tick before
 
 
 def begin(config: FormationConfig, started: NDArray[np.bool_]) -> Tally:
-    """An empty tally of as many worlds as `started` says whether their trigger has fired at reset."""
+    """An empty tally; `started` `(worlds,)` says in which worlds the trigger has fired at reset."""
     worlds = len(started)
     floats = {name: np.zeros(worlds) for name in Tally._fields}
-    counts = ("ticks", "outside", "failure", "counted", "steadied")
+    counts = ("ticks", "last_unsettled", "failure", "error_ticks", "steady_ticks")
     whole = {name: np.zeros(worlds, dtype=np.int64) for name in counts}
     trigger = np.where(started, 0, -1).astype(np.int64)
-    return Tally(**{**floats, **whole, "trigger": trigger, "separation": np.full(worlds, np.inf)})
+    return Tally(
+        **{**floats, **whole, "trigger_tick": trigger, "min_separation": np.full(worlds, np.inf)}
+    )
 
 
 # -- one tick -------------------------------------------------------------------------------------
@@ -132,14 +136,14 @@ def _score_errors(t: Tally, w: int, tick: int, steady: bool, outputs: Any) -> No
         mean += square / n
         largest = max(largest, square)
     largest = np.sqrt(largest)
-    t.squares[w] += mean
-    t.counted[w] += 1
-    t.largest[w] = max(t.largest[w], largest)
+    t.squared_errors[w] += mean
+    t.error_ticks[w] += 1
+    t.largest_error[w] = max(t.largest_error[w], largest)
     if largest > SETTLED:
-        t.outside[w] = tick
+        t.last_unsettled[w] = tick
     if steady:
-        t.steady[w] += mean
-        t.steadied[w] += 1
+        t.steady_squared_errors[w] += mean
+        t.steady_ticks[w] += 1
 
 
 @device
@@ -150,11 +154,11 @@ def _score_distances(t: Tally, w: int, leader: Vector, outputs: Any, offsets: An
         d, slot = _at(offsets[i], 0), _at(outputs[i], SLOT)
         p = sub(slot, _at(outputs[i], ERROR))
         off = abs(distance(leader, p) - np.sqrt(dot(d, d)))
-        t.from_leader[w] = max(t.from_leader[w], off)
+        t.leader_deviation[w] = max(t.leader_deviation[w], off)
         for j in range(i + 1, n):
             other = _at(outputs[j], SLOT)
             off = distance(p, sub(other, _at(outputs[j], ERROR))) - distance(slot, other)
-            t.between[w] = max(t.between[w], abs(off))
+            t.follower_deviation[w] = max(t.follower_deviation[w], abs(off))
 
 
 @device
@@ -168,8 +172,8 @@ def _score_actions(t: Tally, w: int, actions: Any, before: Any) -> None:
             b = min(max(np.float64(before[i, k]), -1.0), 1.0)
             effort += a * a
             change += (a - b) * (a - b)
-    t.effort[w] += effort / (n * size)
-    t.roughness[w] += change / (n * size)
+    t.squared_actions[w] += effort / (n * size)
+    t.squared_changes[w] += change / (n * size)
 
 
 @device
@@ -189,7 +193,9 @@ def add_tick(
     started: NDArray[np.bool_],
     leaders: Floats,
     outputs: Floats,
-    ends: Floats,
+    rewards: Floats,
+    terminated: NDArray[np.bool_],
+    truncated: NDArray[np.bool_],
     actions: NDArray[np.float32],
     before: NDArray[np.float32],
     offsets: Floats,
@@ -197,30 +203,30 @@ def add_tick(
     """Add tick number `tick` (from 1) of the worlds that are `live`; returns how many still are.
 
     `leaders` `(W, 3)` are the leaders' true positions in the second half of the time limit, empty
-    before; the followers' are in `outputs`, which with `ends` is as in `Results`. `actions` and those
-    `before` `(W, n, k)`, `offsets` the `d_i`, `(n, 3)`. `live` is changed: ended worlds are out of it.
+    before; the followers' are in `outputs`, `(W, n, len(OUTPUTS))`. `rewards`, `terminated` and `truncated`
+    are `(W,)`. `actions` and those `before` are `(W, n, k)`, `offsets` the `d_i`, `(n, 3)`, m. `live` is
+    changed: False where a world has ended.
     """
     living = 0
     for w in range(len(live)):
         if not live[w]:
             continue
-        reward, terminated, truncated = ends[0, w], ends[1, w] > 0.0, ends[2, w] > 0.0
-        if t.trigger[w] < 0 and started[w]:
-            t.trigger[w], t.outside[w] = tick, tick
-            t.squares[w], t.counted[w], t.largest[w] = 0.0, 0, 0.0
-            t.earned[w] = 0.0
-        t.total[w] += reward
-        t.earned[w] += reward
+        if t.trigger_tick[w] < 0 and started[w]:
+            t.trigger_tick[w], t.last_unsettled[w] = tick, tick
+            t.squared_errors[w], t.error_ticks[w], t.largest_error[w] = 0.0, 0, 0.0
+            t.reward_since_trigger[w] = 0.0
+        t.reward_sum[w] += rewards[w]
+        t.reward_since_trigger[w] += rewards[w]
         t.ticks[w] += 1
         late = len(leaders) > 0
         _score_errors(t, w, tick, late, outputs[w])
         if late:
             _score_distances(t, w, _at(leaders[w], 0), outputs[w], offsets)
         for i in range(len(offsets)):
-            t.separation[w] = min(t.separation[w], outputs[w, i, SEPARATION])
+            t.min_separation[w] = min(t.min_separation[w], outputs[w, i, SEPARATION])
         _score_actions(t, w, actions[w], before[w])
-        t.failure[w] = _failure(terminated, outputs[w])
-        live[w] = not (terminated or truncated)
+        t.failure[w] = _failure(terminated[w], outputs[w])
+        live[w] = not (terminated[w] or truncated[w])
         living += live[w]
     return living
 
@@ -233,27 +239,33 @@ def episodes(t: Tally, config: FormationConfig) -> dict[str, Floats]:
     """
     failed = t.failure > 0
     period = config.control_period
-    settled = (t.trigger >= 0) & ~failed & ((t.ticks - t.outside) * period >= HELD - 1e-9)
-    late = t.steadied > 0
+    settled = (
+        (t.trigger_tick >= 0) & ~failed & ((t.ticks - t.last_unsettled) * period >= HELD - 1e-9)
+    )
+    late = t.steady_ticks > 0
     pairs = late & (config.followers > 1)
     return {
-        "return": t.total / config.max_steps,
-        "reward_since_trigger": _where(t.trigger >= 0, t.earned / np.maximum(t.counted, 1)),
-        "slot_error_rms": np.sqrt(t.squares / np.maximum(t.counted, 1)),
-        "slot_error_steady": _where(late, np.sqrt(t.steady / np.maximum(t.steadied, 1))),
-        "slot_error_max": t.largest.copy(),
-        "trigger_time": _where(t.trigger >= 0, t.trigger * period),
+        "return": t.reward_sum / config.max_steps,
+        "reward_since_trigger": _where(
+            t.trigger_tick >= 0, t.reward_since_trigger / np.maximum(t.error_ticks, 1)
+        ),
+        "slot_error_rms": np.sqrt(t.squared_errors / np.maximum(t.error_ticks, 1)),
+        "slot_error_steady": _where(
+            late, np.sqrt(t.steady_squared_errors / np.maximum(t.steady_ticks, 1))
+        ),
+        "slot_error_max": t.largest_error.copy(),
+        "trigger_time": _where(t.trigger_tick >= 0, t.trigger_tick * period),
         "settled": settled.astype(np.float64),
-        "settling_time": _where(settled, (t.outside - t.trigger) * period),
-        "leader_deviation": _where(late, t.from_leader),
-        "follower_deviation": _where(pairs, t.between),
-        "min_separation": t.separation.copy(),
+        "settling_time": _where(settled, (t.last_unsettled - t.trigger_tick) * period),
+        "leader_deviation": _where(late, t.leader_deviation),
+        "follower_deviation": _where(pairs, t.follower_deviation),
+        "min_separation": t.min_separation.copy(),
         "failed": failed.astype(np.float64),
-        "effort": t.effort / t.ticks,
-        "smoothness": t.roughness / t.ticks,
+        "effort": t.squared_actions / t.ticks,
+        "smoothness": t.squared_changes / t.ticks,
         "failure": t.failure.astype(np.float64),
     }
 
 
-def _where(known: NDArray[np.bool_], values: NDArray[Any]) -> Floats:
-    return np.where(known, values, np.nan)
+def _where(measured: NDArray[np.bool_], values: NDArray[Any]) -> Floats:
+    return np.where(measured, values, np.nan)

@@ -1,8 +1,8 @@
 """Layers of a network for many rows, each computed as if it were alone.
 
 The matrix routines behind NumPy sum in an order that depends on how many rows they are given and on
-which of them a row is, so a policy's action would depend on who flies beside it. Here rows lie side by
-side in lanes that are all dealt with alike, and a sum goes over the inputs from the first to the last.
+which of them a row is, so a policy's action would depend on how many fly beside it. Here rows lie side by
+side in lanes that are all computed alike, and a sum goes over the inputs from the first to the last.
 """
 
 from __future__ import annotations

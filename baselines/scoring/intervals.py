@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.metrics import EPISODE
+from baselines.scoring.metrics import EPISODE
 
 Floats = NDArray[np.float64]
 

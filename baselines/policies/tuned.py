@@ -1,6 +1,6 @@
 """The paper's laws with gains found by a search: what the expert could do with less caution.
 
-The gains are those of `tuned_gains.json` beside this file, one set for each scenario and action level,
+The gains are those of `baselines/tuned_gains.json`, one set for each scenario and action level,
 found by `python -m train.tune_expert`. They fly the follower alone: its planner, and its tracker where
 the follower commands what the tracker puts out. The leader, and at action level `reference` the
 tracker that flies the follower, belong to the world and keep the configuration's own gains.
@@ -18,17 +18,17 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.expert import Expert
-from baselines.files import told
-from baselines.policy import Policy, Rows
-from baselines.reading import file_name, read_bytes
+from baselines.files import located as told
+from baselines.policies.base import Policy, Rows
+from baselines.policies.expert import Expert
+from baselines.system.reading import file_name, read_bytes
 from formation_env import FormationConfig, configure
 from formation_env.checks import choice, refuse, require, shown
 from formation_env.config import LEVELS
 from formation_env.gains import PlannerGains, TrackerGains
 from formation_env.warning import warn_user
 
-GAINS = Path(__file__).with_name("tuned_gains.json")
+GAINS = Path(__file__).parent.parent / "tuned_gains.json"
 VERSION = 1  # of the file's format
 
 FEEDFORWARDS = ("zero", "derived")

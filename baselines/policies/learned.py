@@ -12,12 +12,12 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.actions import clipped, corrected
-from baselines.expert import Expert
+from baselines.policies.actions import clipped, corrected
+from baselines.policies.expert import Expert
 from baselines.files import Card, Network, check, load
-from baselines.forward import LANES, gathered, layer, padded, spread
-from baselines.policy import Policy, Rows
-from baselines.transfer import warn_of_transfer
+from baselines.policies.forward import LANES, gathered, layer, padded, spread
+from baselines.policies.base import Policy, Rows
+from baselines.policies.transfer import warn_of_transfer
 from formation_env import FormationConfig
 
 _ROWS = 1024  # at a time, so that what lies between the layers stays in the cache

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from math import isfinite
 
-from baselines.intervals import Estimate
-from baselines.metrics import EPISODE
+from baselines.scoring.intervals import Estimate
+from baselines.scoring.metrics import EPISODE
 
 
 def figure(name: str, x: float) -> str:

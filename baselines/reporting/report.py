@@ -33,11 +33,11 @@ from math import isfinite
 from typing import Any
 
 import formation_env
-from baselines.cells import interval, scored, signed
-from baselines.explanations import explanations
-from baselines.intervals import LEVEL, RESAMPLES, Estimate
-from baselines.metrics import EPISODE
-from baselines.scoring import COMPARED, Report, Result, Scenario, Source
+from baselines.reporting.cells import interval, scored, signed
+from baselines.reporting.explanations import explanations
+from baselines.scoring.intervals import LEVEL, RESAMPLES, Estimate
+from baselines.scoring.metrics import EPISODE
+from baselines.scoring.results import COMPARED, Report, Result, Scenario, Source
 from formation_env import FormationConfig
 
 SCORE = "normalised score: mean return, 0 as hover's and 1 as the expert's on the same seeds"
@@ -102,12 +102,11 @@ def _estimate(e: Estimate) -> dict[str, float | int | None]:
 
 def grid(report: Report, cell: Callable[[Estimate], str]) -> str:
     """A row for each policy, a column for each scenario; in italics what was trained for another task."""
-    policies = dict.fromkeys(p for s in report.scenarios.values() for p in s.results)
     rows = [
         ["policy", *(f"`{name}`" for name in report.scenarios)],
         ["---", *("---:" for _ in report.scenarios)],
     ]
-    for policy in policies:
+    for policy in report.policies:
         row = [f"`{policy}`"]
         for scenario in report.scenarios.values():
             result = scenario.results.get(policy)

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.actions import acceleration_action, clipped_or_zero, wrench_action
-from baselines.policy import Rows
+from baselines.policies.actions import acceleration_action, clipped_or_zero, wrench_action
+from baselines.policies.base import Rows
 from formation_env._jit import device, kernel, loop
 from formation_env.blocks import LANES, carve, gather, reinterpret
 from formation_env.elementary import phase, pick

@@ -157,8 +157,8 @@ def _locked(folder: Path) -> int:
 
 
 def _taken(holder: str) -> str:
-    who = holder.removeprefix("formation: ") if holder.startswith(_MARK) else "another process"
-    return f"a run that is not finished writes there ({who}); end it or choose another folder"
+    process = holder.removeprefix("formation: ") if holder.startswith(_MARK) else "another process"
+    return f"a run that is not finished writes there ({process}); end it or choose another folder"
 
 
 def _same_file(handle: int, path: Path) -> bool:

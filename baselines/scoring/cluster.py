@@ -1,4 +1,4 @@
-"""Flights shared out over a Ray cluster: the one module here that knows Ray, and only when asked to.
+"""Flights shared out over a Ray cluster: the one module here that imports Ray, where `--ray` is given.
 
 Ray's workers have to find this package, in the same version, on every machine. Numbers are those of a
 local run to the last bit where the machines are of one kind; see the README on determinism.
@@ -19,8 +19,8 @@ from typing import Any
 
 import formation_env
 from baselines.registry import Recipe
-from baselines.rollout import Episodes, fly
-from baselines.scoring import Flight
+from baselines.scoring.evaluation import Flight
+from baselines.scoring.rollout import Episodes, fly
 from formation_env import FormationConfig
 
 MISSING = 'Ray is not installed: pip install "formation-env[ray]"'
@@ -44,7 +44,7 @@ class Unreachable(ClusterError):
 
 def load_ray() -> Any:
     """The library. Raises `Unreachable` that names the command if it is not installed."""
-    # No usage report leaves the machine unless its user asks for that; and what is to be.
+    # No usage report leaves the machine unless its user asks for it, and the default that is to come.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     with warnings.catch_warnings():
@@ -141,31 +141,32 @@ def _fly(config: FormationConfig, recipe: Recipe, seeds: range, version: str) ->
 def fly_all(ray: Any, flights: Sequence[Flight], progress: Callable[[int], None]) -> list[Episodes]:
     """The episodes of every flight, in their order, flown one to a core wherever there is one.
 
-    `progress` is told of worlds' ticks. Flights of a worker that is lost are flown again by another.
+    `progress` is called with the number of worlds' ticks that have been done. Flights of a worker that is
+    lost are flown again by another.
     Raises `ClusterError` if that does not help.
     """
     task = ray.remote(num_cpus=1, max_retries=3, scheduling_strategy="SPREAD")(_fly)
     # A policy's numbers travel once to each machine, not with every flight.
     each = {id(f.recipe): f.recipe for f in flights}
     recipes = {key: ray.put(recipe) for key, recipe in each.items()}
-    tickets = [
+    references = [
         task.remote(f.config, recipes[id(f.recipe)], f.seeds, formation_env.__version__)
         for f in flights
     ]
     ticks = {
-        ticket: f.config.max_steps * len(f.seeds)
-        for ticket, f in zip(tickets, flights, strict=True)
+        reference: f.config.max_steps * len(f.seeds)
+        for reference, f in zip(references, flights, strict=True)
     }
-    waiting = tickets
+    waiting = references
     try:
         while waiting:
-            landed, waiting = ray.wait(waiting)
-            for ticket in landed:
-                ray.get(ticket)
-                progress(ticks[ticket])
-        return [dict(part) for part in ray.get(tickets)]
+            finished, waiting = ray.wait(waiting)
+            for reference in finished:
+                ray.get(reference)
+                progress(ticks[reference])
+        return [dict(part) for part in ray.get(references)]
     except ray.exceptions.RayError as problem:
         raise ClusterError(f"{type(problem).__name__}: {_line(problem)}") from None
     finally:
-        for ticket in waiting:
-            ray.cancel(ticket, force=True)
+        for reference in waiting:
+            ray.cancel(reference, force=True)

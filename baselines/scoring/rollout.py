@@ -13,8 +13,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.metrics import add_tick, begin, episodes
-from baselines.policy import Policy
+from baselines.policies.base import Policy
+from baselines.scoring.metrics import add_tick, begin, episodes
 from formation_env.simulation import Simulation, seeded_key
 
 Episodes = dict[str, NDArray[np.float64]]
@@ -48,10 +48,8 @@ def fly(
 ) -> Episodes:
     """One episode for each of the consecutive `seeds`; the columns are `metrics.EPISODE`.
 
-    `most` ends them after so many ticks, for a first use that only compiles.
-
-    `progress` is told after every tick how many worlds' ticks have been dealt with; what it raises
-    stops the flight.
+    `most` ends them after so many ticks, for a first use that only compiles. `progress` is called after
+    every tick with the number of worlds, whose ticks have been done; what it raises stops the flight.
     """
     config, worlds = policy.config, len(seeds)
     simulation = Simulation(config, worlds)
@@ -82,7 +80,9 @@ def fly(
             simulation.started,
             simulation.leaders if late else nowhere,
             results.outputs,
-            results.ends,
+            results.rewards,
+            results.terminated,
+            results.truncated,
             actions,
             before,
             offsets,

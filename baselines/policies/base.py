@@ -36,8 +36,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.new_episodes import DOUBTFUL, NEW, Watch
-from baselines.observations import Rows, observed
+from baselines.policies.new_episodes import DOUBTFUL, NEW, Watch
+from baselines.policies.observations import Rows, observed
 from formation_env import FormationConfig
 from formation_env.checks import integer, refuse, require
 from formation_env.warning import warn_user
@@ -155,7 +155,7 @@ class Policy(ABC):
         """Start episodes, one world per seed."""
 
     def begin_again(self, mask: NDArray[np.bool_]) -> None:  # noqa: B027
-        """Start new episodes in the worlds of `mask`. Nothing to do for who remembers nothing."""
+        """Start new episodes in the worlds of `mask`. Nothing to do for a policy without memory."""
 
     @abstractmethod
     def decide(self, rows: Rows) -> Rows:

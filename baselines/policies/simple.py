@@ -7,8 +7,8 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.actions import acceleration_action, clipped, wrench_action
-from baselines.policy import Policy, Rows
+from baselines.policies.actions import acceleration_action, clipped, wrench_action
+from baselines.policies.base import Policy, Rows
 from formation_env import FormationConfig
 from formation_env._jit import kernel, plain
 from formation_env.quadrotor import GRAVITY, MOMENT, Wrench

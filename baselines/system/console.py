@@ -66,7 +66,7 @@ def command(main: Main) -> Callable[..., int]:
                 return 0
             complain(f"error: cannot print: {getattr(problem, 'strerror', None) or problem}")
             return 1
-        except KeyboardInterrupt:  # before or after the work, which says itself what became of it
+        except KeyboardInterrupt:  # before or after the work, which prints its own line
             complain("interrupted")
             return 130
         return status

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.expert_lanes import (
+from baselines.policies.expert_lanes import (
     OBSERVED,
     ROOM,
     VIRTUAL,
@@ -32,7 +32,7 @@ from baselines.expert_lanes import (
     take_rows,
     waiting,
 )
-from baselines.policy import Policy, Rows
+from baselines.policies.base import Policy, Rows
 from formation_env import FormationConfig
 from formation_env._jit import device, kernel
 from formation_env.blocks import LANES, carve

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import formation_env
-from baselines import report
-from baselines.reading import read_text
-from baselines.scoring import Report
-from baselines.writing import write_text
+from baselines.reporting import report
+from baselines.scoring.results import Report
+from baselines.system.reading import read_text
+from baselines.system.writing import write_text
 
 NAME, README = "LEADERBOARD.md", "README.md"
 BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"

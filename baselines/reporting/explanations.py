@@ -7,7 +7,7 @@ from math import sqrt
 
 import numpy as np
 
-from baselines.scoring import Report, Result, above_expert
+from baselines.scoring.results import Report, Result, above_expert
 from formation_env import FormationConfig
 from formation_env.quadrotor import RATES
 

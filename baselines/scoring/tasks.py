@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from baselines.reading import read_json
+from baselines.system.reading import read_json
 from formation_env import SCENARIOS, FormationConfig, configure
 from formation_env.checks import shown
 from formation_env.config import LEVELS
@@ -182,9 +182,7 @@ def _with_parts(name: str, whole: Any, parts: Sequence[tuple[Sequence[str], Any]
     known: tuple[str, ...] = getattr(whole, "_fields", ()) or tuple(
         getattr(whole, "__dataclass_fields__", ())
     )
-    if isinstance(
-        whole, Trajectory
-    ):  # its parts are numbers of a table, not what a user calls it by
+    if isinstance(whole, Trajectory):  # its parts are numbers of a table, without names for a user
         known = ()
     new: dict[str, Any] = {}
     for (first, *rest), value in parts:
@@ -196,8 +194,8 @@ def _with_parts(name: str, whole: Any, parts: Sequence[tuple[Sequence[str], Any]
     try:
         return whole._replace(**new) if hasattr(whole, "_replace") else replace(whole, **new)
     except (ValueError, TypeError) as problem:
-        told = str(problem)
-        raise ValueError(told if told.startswith(f"{name}.") else f"{name}: {told}") from None
+        reason = str(problem)
+        raise ValueError(reason if reason.startswith(f"{name}.") else f"{name}: {reason}") from None
 
 
 def check_scenario(name: str) -> None:

@@ -16,7 +16,7 @@ from typing import Any, final
 
 from numba.core import event
 
-from baselines.console import Lenient
+from baselines.system.console import Lenient
 from formation_env._jit import untold
 
 TEXT = "compiling the simulation (once per machine, about a minute) ..."

@@ -38,20 +38,23 @@ def _trained_on(scenario: str, action: str) -> FormationConfig:
 def differences(card: Card, config: FormationConfig) -> list[str]:
     """How a configuration differs from what the card says the policy was trained for, each in words."""
     if card.scenario != config.scenario:
-        return [f"scenario {shown(config.scenario)} with {_crew(config.followers)}"]
+        return [f"scenario {shown(config.scenario)} with {_follower_count(config.followers)}"]
     if card.scenario not in SCENARIOS:  # one of the user's own, which the card does not describe
         return []
     own = _trained_on(card.scenario, card.action)
     names = [f.name for f in fields(config) if f.name not in _FREE]
     changed = [name for name in names if getattr(own, name) != getattr(config, name)]
     if own.followers != config.followers:
-        changed = [_crew(config.followers), *(name for name in changed if name != "offsets")]
+        changed = [
+            _follower_count(config.followers),
+            *(name for name in changed if name != "offsets"),
+        ]
     return changed
 
 
 @contextmanager
-def marked() -> Iterator[None]:
-    """Within, `TransferWarning` is not shown: for results that mark such a policy themselves."""
+def transfer_unwarned() -> Iterator[None]:
+    """Within, `TransferWarning` is not given: for results that mark such a policy themselves."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TransferWarning)
         yield
@@ -64,12 +67,12 @@ def warn_of_transfer(card: Card, config: FormationConfig) -> None:
         return
     trained = f"scenario {card.scenario!r} at action level {card.action!r}"
     if card.scenario in SCENARIOS:
-        trained += f" with {_crew(_trained_on(card.scenario, card.action).followers)}"
+        trained += f" with {_follower_count(_trained_on(card.scenario, card.action).followers)}"
     message = (
         f"policy ({card.method}) trained on {trained} flies another task: {', '.join(changed)}"
     )
     warn_user(f"{message}. Expect less of it, or a crash", TransferWarning)
 
 
-def _crew(followers: int) -> str:
+def _follower_count(followers: int) -> str:
     return f"{followers} follower{'' if followers == 1 else 's'}"

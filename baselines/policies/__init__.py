@@ -1,0 +1,1 @@
+"""The policies: programmed ones as code, learned ones as the files that are shipped."""

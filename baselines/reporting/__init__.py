@@ -1,0 +1,1 @@
+"""The results of an evaluation as Markdown and JSON, with the leaderboard."""

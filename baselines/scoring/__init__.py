@@ -1,0 +1,1 @@
+"""Episodes flown by many policies, measured and compared."""
