@@ -5,9 +5,12 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING
 
 from baselines.console import width
-from baselines.scoring import Report, Scenario
+
+if TYPE_CHECKING:  # `scoring` imports this module to print its reports
+    from baselines.scoring import Report, Scenario
 
 GAP = " "  # a cell ends in a place for its mark
 ELSEWHERE = "*"  # marks what a policy from a file scores where it was not trained

@@ -25,7 +25,7 @@ from baselines import console
 from train.command_line import wait_passively
 
 if TYPE_CHECKING:
-    from train.options import Options
+    from train.ppo.options import Options
 
 HISTORIES = (1, 4, 8)
 
@@ -43,7 +43,7 @@ class Figure(NamedTuple):
 
 def options(folder: Path, seed: int, history: int, episodes: int) -> Options:
     """What all runs share."""
-    from train.options import Options
+    from train.ppo.options import Options
 
     return Options(
         output=folder,
@@ -80,14 +80,14 @@ class _Clock:
 
 def stacked(history: int, seed: int, minutes: float, episodes: int) -> Figure:
     """PPO with a history of observations, as `python -m train.ppo` trains it."""
-    from train.learner import prepare
+    from train.ppo.start import prepare
 
     with tempfile.TemporaryDirectory() as folder:
         run = prepare(options(Path(folder), seed, history, episodes))
         clock = _Clock(minutes)
         run.train(stop=clock.late)
         used = clock.minutes
-        score, columns = run.judge.judge(*run.made())
+        score, columns = run.evaluator.score_network(*run.policy_file())
     three = (float(score.value), float(score.low), float(score.high))
     name = f"history of {history}"
     return Figure(name, seed, run.model.num_timesteps, used, three, float(columns["failed"].mean()))
@@ -100,9 +100,10 @@ def recurrent(seed: int, minutes: float, episodes: int) -> Figure:
     from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
-    from train.evaluation import TRAINING_SEEDS, Judge
+    from train.evaluation import Evaluator
     from train.options import STD
     from train.scales import CLIP, fixed_scales
+    from train.seeds import first_training_seed
     from train.vec import FollowerVecEnv
 
     with tempfile.TemporaryDirectory() as folder:
@@ -111,12 +112,12 @@ def recurrent(seed: int, minutes: float, episodes: int) -> Figure:
     env = FollowerVecEnv(
         o.training_config(),
         o.worlds,
-        seed_offset=TRAINING_SEEDS + seed * o.worlds,
+        seed_offset=first_training_seed(seed, o.worlds),
         stagger=True,
         reward_scale=1.0 - o.gamma,
         threads=1,
     )
-    judge, clock = Judge(o.config(), episodes), _Clock(minutes)
+    evaluator, clock = Evaluator(o.config(), episodes), _Clock(minutes)
     mean, scale = (torch.from_numpy(x) for x in fixed_scales(env.config.layout))
 
     class Scaled(BaseFeaturesExtractor):
@@ -163,7 +164,7 @@ def recurrent(seed: int, minutes: float, episodes: int) -> Figure:
     )
     model.learn(o.steps, callback=Stop())
     used = clock.minutes
-    score, columns = judge.score(_pilot(env.config, model.policy))
+    score, columns = evaluator.score_policy(_pilot(env.config, model.policy))
     three = (float(score.value), float(score.low), float(score.high))
     return Figure("LSTM", seed, model.num_timesteps, used, three, float(columns["failed"].mean()))
 
@@ -260,7 +261,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             import sb3_contrib  # noqa: F401
 
-            import train.learner  # noqa: F401
+            import train.ppo.start  # noqa: F401
         except ModuleNotFoundError as problem:
             parser.exit(
                 2,
