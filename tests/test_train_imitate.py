@@ -307,7 +307,8 @@ def test_exploration_is_white_and_what_is_learned_is_not_disturbed() -> None:
     collector.early_ends.cancel()
     buffer = buffer_of(config, 32, 50)
     collector.collect(50, buffer)
-    executed = buffer.observations[1:, :, config.layout.slices["previous_action"]][..., :3]
+    executed = buffer.observations[1:, :, config.layout.slices["previous_action"]]
+    executed = executed[..., : config.action_size]
     noise = (executed - buffer.labels[:-1]).astype(np.float64)
     assert noise.std() == pytest.approx(0.1, rel=0.03)
     assert abs((noise[1:] * noise[:-1]).mean()) < 0.03 * 0.01

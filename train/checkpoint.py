@@ -56,15 +56,15 @@ def load(path: Path) -> tuple[dict[str, Any], Arrays]:
     require_there(path)
     try:
         with safe_open(path, framework="np") as file:
-            text = (file.metadata() or {}).get(_KEY)
+            run_text = (file.metadata() or {}).get(_KEY)
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (OSError, SafetensorError, TypeError, AttributeError, KeyError) as problem:
         # The latter three for kinds of numbers that NumPy does not have.
         reason = problem.strerror if isinstance(problem, OSError) else None
-        told = " ".join(str(reason or problem).split())[:200]
-        raise ValueError(f"{path}: not a checkpoint that can be read ({told})") from None
+        text = " ".join(str(reason or problem).split())[:200]
+        raise ValueError(f"{path}: not a checkpoint that can be read ({text})") from None
     try:
-        facts = json.loads(text) if text is not None else None
+        facts = json.loads(run_text) if run_text is not None else None
     except (ValueError, RecursionError):  # the latter of a thousand brackets
         facts = None
     if not isinstance(facts, dict) or facts.get("version") != VERSION:

@@ -31,7 +31,7 @@ class RunOptions:
     """
 
     output: Path
-    """Folder for the policies and the log; made if it is not there."""
+    """Folder for the best policy and the log; made if it is not there."""
     scenario: str = "nominal"
     """Name of the scenario that is trained on: nominal, paper, experiment, agile or swarm."""
     action: Literal["wrench", "rates", "reference"] | None = None
@@ -128,6 +128,8 @@ def repeating_command(
 class PPOOptions(RunOptions):
     """Options of PPO."""
 
+    output: Path
+    """Folder for the policies, the log and the checkpoint; made if it is not there."""
     steps: int = 20_000_000
     """Stop after this many agent steps; one is one control tick of one follower."""
     minutes: float | None = None

@@ -84,7 +84,7 @@ def _row(line: str) -> LogRow:
             row = LogRow._make([int(steps), *map(float, figures), int(seed)])
         except ValueError:
             row = None
-        if row is not None and all(isfinite(x) for x in row[:3]):
+        if row is not None and all(map(isfinite, (row.steps, row.minutes, row.score))):
             return row
     raise ValueError(f"line {line!r}: expected {len(LogRow._fields)} numbers")
 

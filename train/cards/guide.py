@@ -62,11 +62,11 @@ def gather(checkout: Path) -> Facts:
     transfers = read_transfers(checkout / GENERALISATION)
     valid = {"-", *(file_digest(each.path) for each in policies.values())}
     kept = [each for each in transfers if each.digest in valid]
-    seen = {(each.policy, each.action) for each in kept}
+    measured = {(each.policy, each.action) for each in kept}
     stale = [
         each.path.name
         for key, each in policies.items()
-        if key.scenario == USUAL and (key.method, key.action) not in seen
+        if key.scenario == USUAL and (key.method, key.action) not in measured
     ]
     curves.sort(key=lambda c: (order(c.key), c.seed))
     return Facts(template, policies, curves, kept, stale, _tuned(checkout / TUNED))

@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_type_hints
 
 from baselines import files
 from baselines.files import SUFFIX, Card, Network
@@ -130,7 +130,7 @@ def shipped(checkout: Path) -> Iterator[tuple[Key, Path]]:
 
 
 class Transfer(NamedTuple):
-    """One policy on one task."""
+    """One policy on one task; a row of the file."""
 
     task: str
     action: str
@@ -202,6 +202,13 @@ def transfers_text(rows: Sequence[Transfer]) -> str:
     return text.getvalue()
 
 
+def _transfer(words: Sequence[str]) -> Transfer:
+    """From a row of the file. Raises `ValueError`."""
+    kinds = get_type_hints(Transfer)
+    named = zip(Transfer._fields, words, strict=True)
+    return Transfer(**{name: kinds[name](word) for name, word in named})
+
+
 def read_transfers(path: Path) -> list[Transfer]:
     """The scores from their file; none if there is no file. Raises `ValueError`, `OSError`."""
     if not path.exists():
@@ -210,6 +217,6 @@ def read_transfers(path: Path) -> list[Transfer]:
     try:
         if tuple(head) != Transfer._fields:
             raise ValueError(f"columns {head}")
-        return [Transfer(*row[:4], *map(float, row[4:])) for row in rows]  # type: ignore[arg-type]
-    except (TypeError, ValueError) as problem:
+        return [_transfer(row) for row in rows]
+    except ValueError as problem:
         raise ValueError(f"{path}: not what --generalise writes ({problem})") from None

@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     wait_passively()
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # theirs, at import
+            warnings.simplefilter("ignore")  # of the libraries, at import
             import tyro  # noqa: F401
 
             from train.imitate.options import Options

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import ClassVar, Literal, final
 
 from train.command_line import refuse
@@ -18,8 +17,6 @@ class Options(RunOptions):
     The network is fitted to the actions of a teacher, the policy to be cloned.
     """
 
-    output: Path
-    """Folder for the policy and the log; made if it is not there."""
     threads: int = 1
     """Number of threads of PyTorch and of the simulation.
     More are of use for large networks only, on a machine that does nothing else.

@@ -218,7 +218,7 @@ def _summary_writer(options: Options) -> Any:
     if not options.tensorboard:
         return contextlib.nullcontext(_NoWriter())
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # its own, at import
+        warnings.simplefilter("ignore")  # TensorBoard's own, at import
         from torch.utils.tensorboard import SummaryWriter
 
     return SummaryWriter(str(options.output / "tensorboard"))

@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     wait_passively()
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # theirs, at import
+            warnings.simplefilter("ignore")  # of the libraries, at import
             import tensorboard  # type: ignore[import-untyped]  # noqa: F401
             import tyro  # noqa: F401
 

@@ -19,8 +19,6 @@ INIT_STD_FACTOR = 0.2
 class Options(PPOOptions):
     """Train one policy, shared by all followers, with PPO."""
 
-    output: Path
-    """Folder for the policies, the log and the checkpoint; made if it is not there."""
     resume: bool = False
     """Continue the run in the output folder with the options that it was started with.
     Of those given here only steps, minutes, profile and quiet count."""

@@ -36,7 +36,9 @@ def prepare(options: Options) -> Run:
     folder = claim(options.output)
     try:
         if options.resume:
-            with untold():  # making the worlds compiles a little; `train` says so, with the rest
+            with (
+                untold()
+            ):  # making the worlds compiles a little; `train` announces it with the rest
                 run = _resumed(options)
         elif path.exists():
             raise ValueError(f"{path} exists: go on with --resume, or choose another folder")
@@ -106,7 +108,7 @@ def _resumed(given: Options) -> Run:
 
 
 def _require_sizes(options: Options, arrays: Arrays) -> None:
-    """That the options ask for no more than the arrays hold, before anything of that size is made."""
+    """Refuse options that ask for more than the arrays hold, before memory of that size is taken."""
     rows = options.worlds * options.training_config().followers
     observations = arrays.get("last/obs", np.zeros(0))
     fits = observations.shape[:1] == (rows,)

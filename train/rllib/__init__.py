@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     wait_passively()
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # theirs, at import
+            warnings.simplefilter("ignore")  # of the libraries, at import
             import tyro  # noqa: F401
 
             from train.rllib.options import Options

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import ClassVar
 
 from train.options import STD, PPOOptions, Ranges
@@ -13,8 +12,6 @@ from train.options import STD, PPOOptions, Ranges
 class Options(PPOOptions):
     """Train one policy, shared by all followers, with PPO on a Ray cluster."""
 
-    output: Path
-    """Folder for the policies, the log and the checkpoint; made if it is not there."""
     resume: bool = False
     """Continue the run in the output folder with the options that it was started with.
     Of those given here only steps, minutes, runners, address, threads and quiet count."""

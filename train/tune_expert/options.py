@@ -14,7 +14,7 @@ from train.options import defaults, repeating_command
 from train.seeds import MOST_TUNING_EPISODES
 
 PROGRAM = "train.tune_expert"
-# Options that a search that is continued may be given anew.
+# Options that may differ where a search is continued.
 FREE_ON_RESUME = ("resume", "threads", "quiet", "output", "gains", "evaluations")
 
 
