@@ -16,17 +16,16 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Sequence
-from math import log
+from math import isfinite, log
 from pathlib import Path
 from time import process_time
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from baselines.system import console
-from baselines.system.arguments import Parser, above_zero, whole
 from train.command_line import wait_passively
 
 if TYPE_CHECKING:
-    from train.options import Options
+    from train.ppo.options import Options
 
 HISTORIES = (1, 4, 8)
 
@@ -44,7 +43,7 @@ class Figure(NamedTuple):
 
 def options(folder: Path, seed: int, history: int, episodes: int) -> Options:
     """What all runs share."""
-    from train.options import Options
+    from train.ppo.options import Options
 
     return Options(
         output=folder,
@@ -81,14 +80,14 @@ class _Clock:
 
 def stacked(history: int, seed: int, minutes: float, episodes: int) -> Figure:
     """PPO with a history of observations, as `python -m train.ppo` trains it."""
-    from train.learner import prepare
+    from train.ppo.start import prepare
 
     with tempfile.TemporaryDirectory() as folder:
         run = prepare(options(Path(folder), seed, history, episodes))
         clock = _Clock(minutes)
         run.train(stop=clock.late)
         used = clock.minutes
-        score, columns = run.judge.judge(*run.made())
+        score, columns = run.evaluator.score_network(*run.policy_file())
     three = (float(score.value), float(score.low), float(score.high))
     name = f"history of {history}"
     return Figure(name, seed, run.model.num_timesteps, used, three, float(columns["failed"].mean()))
@@ -101,9 +100,10 @@ def recurrent(seed: int, minutes: float, episodes: int) -> Figure:
     from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
-    from train.evaluation import TRAINING_SEEDS, Judge
+    from train.evaluation import Evaluator
     from train.options import STD
     from train.scales import CLIP, fixed_scales
+    from train.seeds import first_training_seed
     from train.vec import FollowerVecEnv
 
     with tempfile.TemporaryDirectory() as folder:
@@ -112,12 +112,12 @@ def recurrent(seed: int, minutes: float, episodes: int) -> Figure:
     env = FollowerVecEnv(
         o.training_config(),
         o.worlds,
-        seed_offset=TRAINING_SEEDS + seed * o.worlds,
+        seed_offset=first_training_seed(seed, o.worlds),
         stagger=True,
         reward_scale=1.0 - o.gamma,
         threads=1,
     )
-    judge, clock = Judge(o.config(), episodes), _Clock(minutes)
+    evaluator, clock = Evaluator(o.config(), episodes), _Clock(minutes)
     mean, scale = (torch.from_numpy(x) for x in fixed_scales(env.config.layout))
 
     class Scaled(BaseFeaturesExtractor):
@@ -164,18 +164,18 @@ def recurrent(seed: int, minutes: float, episodes: int) -> Figure:
     )
     model.learn(o.steps, callback=Stop())
     used = clock.minutes
-    score, columns = judge.score(_policy(env.config, model.policy))
+    score, columns = evaluator.score_policy(_pilot(env.config, model.policy))
     three = (float(score.value), float(score.low), float(score.high))
     return Figure("LSTM", seed, model.num_timesteps, used, three, float(columns["failed"].mean()))
 
 
-def _policy(config: Any, lstm: Any) -> Any:
+def _pilot(config: Any, lstm: Any) -> Any:
     """The recurrent policy as one that the metrics take."""
     import numpy as np
 
     from baselines.policies.base import Policy
 
-    class Recurrent(Policy):
+    class Pilot(Policy):
         name = "lstm"
 
         def begin(self, seeds: Any) -> None:
@@ -191,7 +191,7 @@ def _policy(config: Any, lstm: Any) -> Any:
             self._fresh[:] = False
             return np.asarray(actions, dtype=np.float32).reshape(*rows.shape[:2], -1)
 
-    return Recurrent(config)
+    return Pilot(config)
 
 
 def table(figures: Sequence[Figure]) -> str:
@@ -210,47 +210,62 @@ def table(figures: Sequence[Figure]) -> str:
 
 
 def _minutes(text: str) -> float:
-    value = above_zero("minutes above 0")(text)
-    if value > 10_000.0:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected at most 10000 minutes")
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not (isfinite(value) and 0.0 < value <= 10_000.0):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected minutes above 0")
     return value
 
 
-def parser() -> Parser:
-    """The options of the command, none of them read yet."""
-    own = Parser(
-        "benchmarks.recurrence",
-        "Compare memories against measurement noise: the last 1, 4 and 8 observations with PPO, and an "
-        "LSTM with RecurrentPPO, trained for the same processor time on one thread and scored on the same "
-        "episodes.",
-    )
-    add = own.add_argument
-    add("--minutes", type=_minutes, default=4.0, metavar="MIN",
-        help="Processor time of each training in minutes. (default: %(default)s)")  # fmt: skip
-    add("--seeds", type=whole(1, 1000), default=1, metavar="N",
-        help="Number of trainings of each policy, with seeds from 0 on. "
-        "(default: %(default)s)")  # fmt: skip
-    add("--episodes", type=whole(1, 1000), default=32, metavar="N",
-        help="Number of episodes that score each policy. (default: %(default)s)")  # fmt: skip
-    return own
+def _count(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and 1 <= int(text) <= 1000):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number from 1 to 1000")
+    return int(text)
 
 
 @console.command
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status."""
-    own = parser()
-    given = own.parse_args(arguments)
+    parser = argparse.ArgumentParser(
+        prog="benchmarks.recurrence",
+        description="Compare memories against measurement noise: the last 1, 4 and 8 observations "
+        "with PPO, and an LSTM with RecurrentPPO, trained for the same processor time on one thread "
+        "and scored on the same episodes.",
+        allow_abbrev=False,
+    )
+    add = parser.add_argument
+    add(
+        "--minutes",
+        type=_minutes,
+        default=4.0,
+        help="processor time for each policy, in minutes (default: %(default)s)",
+    )
+    add(
+        "--seeds",
+        type=_count,
+        default=1,
+        help="number of runs of each policy (default: %(default)s)",
+    )
+    add(
+        "--episodes",
+        type=_count,
+        default=32,
+        help="number of episodes that score each policy (default: %(default)s)",
+    )
+    given = parser.parse_args(arguments)
     wait_passively()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # theirs, at import
         try:
             import sb3_contrib  # noqa: F401
 
-            import train.learner  # noqa: F401
+            import train.ppo.start  # noqa: F401
         except ModuleNotFoundError as problem:
-            own.exit(
+            parser.exit(
                 2,
-                f"{own.prog}: error: {problem.name} is not installed: "
+                f"{parser.prog}: error: {problem.name} is not installed: "
                 'pip install "formation-env[train]" sb3-contrib\n',
             )
     figures = []

@@ -17,8 +17,8 @@ import numpy as np
 warnings.simplefilter("ignore")
 
 from train import checkpoint  # noqa: E402
-from train.learner import prepare  # noqa: E402
-from train.options import Options  # noqa: E402
+from train.ppo.options import Options  # noqa: E402
+from train.ppo.start import prepare  # noqa: E402
 
 VALUES: tuple[Any, ...] = (
     None, "x", "", -1, 0, 1, 10**6, 10**9, 2**63, 10**30, 1.5, 1e300, float("nan"), float("inf"),

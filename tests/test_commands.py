@@ -142,7 +142,7 @@ def test_threads_that_wait_sleep_and_there_is_one() -> None:
         "import os, sys; from train import imitate, ppo; assert 'torch' not in sys.modules\n"
         "from train.command_line import wait_passively\n"
         "wait_passively(); print(os.environ['OMP_WAIT_POLICY'])\n"
-        "from train.options import Options; print(Options('x').threads)\n"
+        "from train.ppo.options import Options; print(Options('x').threads)\n"
     )
     for given, expected in ((None, "PASSIVE"), ("ACTIVE", "ACTIVE")):
         env = {k: v for k, v in os.environ.items() if k != "OMP_WAIT_POLICY"}

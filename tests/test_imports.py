@@ -8,6 +8,7 @@ import json
 import shutil
 import subprocess
 import sys
+from collections.abc import Collection
 from pathlib import Path
 
 import pytest
@@ -82,6 +83,90 @@ def test_contracts_notice_a_wrong_import(
     verdicts = [line for line in run.stdout.splitlines() if broken in line]
     assert run.returncode == 1, run.stdout + run.stderr
     assert any("BROKEN" in line for line in verdicts), run.stdout + run.stderr
+
+
+# -- circles --------------------------------------------------------------------------------------
+
+
+def module_paths(folder: Path) -> dict[str, Path]:
+    """The modules of the packages in a folder, by name."""
+    paths = {}
+    for path in (path for package in PACKAGES for path in (folder / package).rglob("*.py")):
+        parts = path.relative_to(folder).with_suffix("").parts
+        paths[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return paths
+
+
+def imported_modules(path: Path, modules: Collection[str]) -> set[str]:
+    """Those of the modules that a file imports anywhere, at its top or in a function.
+
+    Imports for the type checker alone do not count, nor does it that importing a module runs its package.
+    """
+    names: set[str] = set()
+    nodes: list[ast.AST] = [ast.parse(path.read_text(encoding="utf-8"))]
+    while nodes:
+        node = nodes.pop()
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            nodes += node.orelse
+            continue
+        nodes += ast.iter_child_nodes(node)
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            inner = {f"{node.module}.{alias.name}" for alias in node.names}
+            names |= inner if inner <= set(modules) else {node.module, *inner}
+    return names & set(modules)
+
+
+def circles(folder: Path) -> list[list[str]]:
+    """Groups of modules each of which imports all others of its group, directly or by way of others."""
+    paths = module_paths(folder)
+    imports = {name: imported_modules(path, paths) for name, path in paths.items()}
+
+    def reached(start: str) -> set[str]:
+        found: set[str] = set()
+        stack = [start]
+        while stack:
+            new = imports[stack.pop()] - found
+            found |= new
+            stack += new
+        return found
+
+    reach = {name: reached(name) for name in imports}
+    groups = {
+        tuple(sorted(other for other in reach[name] if name in reach[other]))
+        for name in imports
+        if name in reach[name]
+    }
+    return [list(group) for group in sorted(groups)]
+
+
+def test_no_module_imports_itself_by_way_of_others() -> None:
+    """Neither at the top of a file nor within a function."""
+    assert len(module_paths(ROOT)) > 100
+    assert circles(ROOT) == []
+
+
+@pytest.mark.parametrize(
+    ("importer", "statement", "circle"),
+    [
+        ("formation_env/so3.py", "import formation_env.planner", "formation_env.planner"),
+        (
+            "train/scales.py",
+            "def f() -> None:\n    from train.ppo import networks",
+            "train.ppo.networks",
+        ),
+        ("baselines/intervals.py", "from baselines.scoring import Report", "baselines.scoring"),
+    ],
+)
+def test_a_circle_is_found(tmp_path: Path, importer: str, statement: str, circle: str) -> None:
+    for package in PACKAGES:
+        ignore = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=ignore)
+    with (tmp_path / importer).open("a", encoding="utf-8") as file:
+        file.write(f"\n{statement}\n")
+    ((*found,),) = circles(tmp_path)
+    assert circle in found and importer.removesuffix(".py").replace("/", ".") in found
 
 
 def test_importing_the_environment_is_light() -> None:

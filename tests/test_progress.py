@@ -8,10 +8,13 @@ pytest.importorskip("scipy")
 
 from tqdm import tqdm
 
-from train.evaluation import Row
+from train.log import LogRow
 from train.progress import BAR, Progress, described, part_done
 
-ROWS = [Row(0, 0.0, 0.25, 0.2, 0.3, 1.0, 1.0, 0.0, 0), Row(5, 1.0, 0.9, 0.8, 1.0, 2.0, 0.5, 0.0, 0)]
+ROWS = [
+    LogRow(0, 0.0, 0.25, 0.2, 0.3, 1.0, 1.0, 0.0, 0),
+    LogRow(5, 1.0, 0.9, 0.8, 1.0, 2.0, 0.5, 0.0, 0),
+]
 
 
 @pytest.mark.parametrize(
@@ -57,8 +60,8 @@ def test_the_bar_of_cloning_fits_a_terminal(
 ) -> None:
     """A terminal of 80 columns cuts nothing off, and some of it is a bar."""
     monkeypatch.setenv("COLUMNS", "80")
-    course = pytest.importorskip("train.course")
-    text = course.described(40, 40, {"loss": 0.25, "held_out": 0.0123456, **score})
+    run = pytest.importorskip("train.imitate.run")
+    text = run.described(40, 40, {"loss": 0.25, "held_out": 0.0123456, **score})
     assert text == "40 of 40 rounds, error 0.0123" + (", score -0.123" if score else "")
     bar = tqdm(total=1, bar_format=BAR, ncols=80)
     bar.set_description_str(text)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 import re
 import shlex
@@ -16,18 +17,21 @@ import pytest
 from baselines import files
 from baselines.files import Card, Network
 from formation_env import configure
-from train import cards, guide, shipping
-from train.evaluation import Row, to_csv
-from train.logs import Curve, Key, read_curve, read_log, thinned, to_text
+from train import cards
+from train.cards import guide, shipping
+from train.cards.curves import Curve, Key, read_curve, read_log, thinned, to_text
+from train.log import LogRow, to_csv
 
 CONFIG = configure("nominal")
 
 
-def row(steps: int, score: float, seed: int = 3) -> Row:
-    return Row(steps, steps / 1e6, score, score - 0.01, score + 0.01, 2.0 * score, 0.1, 0.0, seed)
+def row(steps: int, score: float, seed: int = 3) -> LogRow:
+    return LogRow(
+        steps, steps / 1e6, score, score - 0.01, score + 0.01, 2.0 * score, 0.1, 0.0, seed
+    )
 
 
-def rows_of(count: int, best: int) -> tuple[Row, ...]:
+def rows_of(count: int, best: int) -> tuple[LogRow, ...]:
     return tuple(row(1000 * i, 2.0 if i == best else 1.0 - math.exp(-i / 30)) for i in range(count))
 
 
@@ -102,7 +106,7 @@ def test_the_guide_is_the_one_that_the_script_makes(root: Path) -> None:
 
 
 def test_the_pictures_show_the_curves_that_are_checked_in(root: Path) -> None:
-    from train.pictures import digest
+    from train.cards.pictures import digest
 
     for name, curves in guide.pictures(guide.gather(root).curves).items():
         data = (root / shipping.CURVES / name).read_bytes()
@@ -117,7 +121,7 @@ def test_generalisation_is_of_the_policies_that_ship(root: Path) -> None:
 def test_what_ships_is_small_and_where_it_says(root: Path) -> None:
     for key, path in shipping.shipped(root):
         made, _ = files.load(path)
-        assert path.stat().st_size <= shipping.MOST
+        assert path.stat().st_size <= shipping.LARGEST_FILE
         assert (made.scenario, made.action) == (key.scenario, key.action)
         assert key.scenario in made.score
 
@@ -136,11 +140,11 @@ def test_the_program_flies_a_policy_of_ones_own(
     assert capsys.readouterr().out.startswith("return ")
 
 
-@pytest.mark.parametrize("module", ["ppo", "imitate", "tune_expert", "rllib_options"])
+@pytest.mark.parametrize("module", ["ppo", "imitate", "tune_expert", "rllib"])
 def test_the_options_in_the_commands_exist(root: Path, module: str) -> None:
     tyro = pytest.importorskip("tyro")
-    options = pytest.importorskip(f"train.{'options' if module == 'ppo' else module}").Options
-    program = {"tune_expert": "tune-expert"}.get(module, f"train-{module.partition('_')[0]}")
+    options = importlib.import_module(f"train.{module}.options").Options
+    program = {"tune_expert": "tune-expert"}.get(module, f"train-{module}")
     found = re.findall(rf"^formation-{program} (.*)$", template(root), re.M)
     assert found
     for words in found:
@@ -199,7 +203,7 @@ def test_a_log_that_is_not_one_is_refused(text: str, names: str) -> None:
 
 def test_runs_are_averaged_where_all_have_been() -> None:
     """Two straight lines: at every step the mean, the lower and the upper one, as by hand."""
-    from train.pictures import band
+    from train.cards.pictures import band
 
     key = Key("nominal", "wrench", "ppo")
     one = Curve(key, 0, "", (row(0, 0.0), row(100, 1.0)))
@@ -266,6 +270,14 @@ def test_the_tasks_are_others_than_the_one_trained_on() -> None:
 
 
 # -- refusals -------------------------------------------------------------------------------------
+
+
+def test_every_option_says_what_it_is_and_its_default() -> None:
+    for action in cards._parser()._actions:
+        words = (action.help or "").split()
+        assert len(words) >= 4, action.option_strings
+        choice = {"--help", "--ship", "--curve", "--generalise"} & set(action.option_strings)
+        assert choice or "(default: " in str(action.help), action.option_strings
 
 
 def test_ship_refuses_what_is_no_finished_run(

@@ -15,12 +15,13 @@ with warnings.catch_warnings():
         pytest.importorskip(module)
     import torch
 
-    import train.learner
-    from train.learner import prepare
+    import train.ppo.run
+    import train.ppo.start
+    from train.ppo.start import prepare
 
 from baselines.system.writing import LOCK, claim
 from train import imitate, ppo, tune_expert
-from train.options import Options
+from train.ppo.options import Options
 
 SMALL = ["--steps", "64", "--worlds", "2", "--rollout", "8", "--episodes", "2", "--quiet"]
 PPO = [*SMALL, "--action", "reference", "--hidden", "8"]
@@ -71,18 +72,18 @@ def test_a_folder_is_free_after_a_run_and_after_a_refusal(
 def test_what_is_compiled_is_compiled_before_the_bar(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The judge's flights compile; a bar that had begun would count that as time of the training."""
+    """The evaluator's flights compile; a bar that had begun would count that as time of the training."""
     order: list[str] = []
-    judge, bar = train.learner.Judge, train.learner.Progress
+    evaluator, bar = train.ppo.run.Evaluator, train.ppo.run.Progress
 
-    def judged(*given: Any) -> Any:
+    def compiled(*given: Any) -> Any:
         order.append("compile")
-        return judge(*given)
+        return evaluator(*given)
 
     def shown(self: Any, *given: Any) -> None:
         order.append("bar")
 
-    monkeypatch.setattr(train.learner, "Judge", judged)
+    monkeypatch.setattr(train.ppo.run, "Evaluator", compiled)
     monkeypatch.setattr(bar, "show", shown)
     assert ppo.main(["--output", str(tmp_path), *PPO]) == 0
     assert order[0] == "compile" and order.count("compile") == 1 and len(order) > 2
@@ -95,7 +96,7 @@ def test_numbers_that_are_lost_are_one_line(
     run = prepare(Options(output=tmp_path, action="reference", worlds=2, episodes=2, quiet=True))
     with torch.no_grad():
         run.policy.action_net.weight.fill_(float("nan"))
-    monkeypatch.setattr(train.learner, "prepare", lambda options: run)
+    monkeypatch.setattr(train.ppo.start, "prepare", lambda options: run)
     assert ppo.main(["--output", str(tmp_path), *PPO]) == 1
     told = capsys.readouterr().err
     assert told.count("\n") == 1 and "no longer finite" in told

@@ -15,15 +15,18 @@ with warnings.catch_warnings():
     pytest.importorskip("stable_baselines3")
     pytest.importorskip("tyro")
     torch = pytest.importorskip("torch")
-    from train import course
-    from train.cloning import Clone, Flight, Memory
+    from train.imitate.buffer import SampleBuffer
+    from train.imitate.clone import Clone
+    from train.imitate.collector import Collector, Mixture
+    from train.imitate.run import Run
 
 from baselines import files, make_policy
 from baselines.policies.learned import Learned
 from formation_env import configure
 from formation_env.simulation import Simulation, seeded_key
-from train.evaluation import TRAINING_SEEDS
-from train.imitate import Options, main
+from train.imitate import main
+from train.imitate.options import Options
+from train.seeds import TRAINING_SEEDS
 
 SHORT = ["--worlds", "8", "--rounds", "2", "--ticks", "20", "--updates", "3", "--batch", "64",
          "--episodes", "2", "--threads", "1", "--quiet"]  # fmt: skip
@@ -33,9 +36,9 @@ def run(folder: Path, *more: str) -> int:
     return main(["--output", str(folder), *SHORT, *more])
 
 
-def memory_of(config: Any, worlds: int, ticks: int, history: int = 1) -> Memory:
+def buffer_of(config: Any, worlds: int, ticks: int, history: int = 1) -> SampleBuffer:
     rows = worlds * config.followers
-    return Memory(ticks, rows, config.layout.size, config.action_size, history)
+    return SampleBuffer(ticks, rows, config.layout.size, config.action_size, history)
 
 
 def test_a_clone_learns_what_the_teacher_says(tmp_path: Path) -> None:
@@ -57,59 +60,61 @@ def test_a_clone_learns_what_the_teacher_says(tmp_path: Path) -> None:
 def test_the_loss_falls(tmp_path: Path) -> None:
     torch.manual_seed(0)
     options = Options(tmp_path, worlds=16, updates=200, method="bc", threads=1, quiet=True)
-    lesson = course.Course(options)
-    lesson._fly(0)
-    before = lesson._held_out()
-    lesson._learn()
-    assert lesson._held_out() < 0.5 * before
+    training = Run(options)
+    training._collect(0)
+    before = training._held_out_error()
+    training._fit()
+    assert training._held_out_error() < 0.5 * before
 
 
 def test_labels_are_what_the_teacher_says_to_the_same_observations() -> None:
     """A teacher flown in parallel, one for each world and told when its episode begins, agrees to the
     last bit, whoever flies; and what the clone flew is not what the teacher said."""
     config = configure("nominal", duration=0.5)
-    flight = Flight(config, make_policy("expert", config), 8, seed=3)
-    memory = memory_of(config, 8, 90)
-    flight.fly(30, memory)
+    collector = Collector(config, make_policy("expert", config), 8, seed=3)
+    buffer = buffer_of(config, 8, 90)
+    collector.collect(30, buffer)
     torch.manual_seed(0)
     clone = Clone(config, 1, (8,), "tanh")
-    clone.fit_to(*memory.everything(), config.layout)
-    flight.fly(60, memory, clone, share=0.5)
-    assert (memory._age.max(axis=0) > 20).all()
-    assert ((memory._age == 0).sum(axis=0) > 2).all()  # several episodes
+    clone.standardise(*buffer.all_samples(), config.layout)
+    collector.collect(60, buffer, Mixture(clone, share=0.5))
+    assert (buffer.ages.max(axis=0) > 20).all()
+    assert ((buffer.ages == 0).sum(axis=0) > 2).all()  # several episodes
     for world in range(8):
         teacher, own = make_policy("expert", config), slice(2 * world, 2 * world + 2)
         for tick in range(90):
-            if memory._age[tick, 2 * world] == 0:
+            if buffer.ages[tick, 2 * world] == 0:
                 teacher.reset()
-            said = teacher.act(memory.seen[tick, own])
-            np.testing.assert_array_equal(said, memory.labels[tick, own])
+            said = teacher.act(buffer.observations[tick, own])
+            np.testing.assert_array_equal(said, buffer.labels[tick, own])
 
 
 def test_the_teacher_alone_flies_the_episodes_of_its_seeds() -> None:
     config = configure("nominal")
-    memory = memory_of(config, 2, 40)
-    flight = Flight(config, make_policy("expert", config), 2, seed=5)
-    flight._left[:] = -1
-    flight.fly(40, memory)
+    buffer = buffer_of(config, 2, 40)
+    collector = Collector(config, make_policy("expert", config), 2, seed=5)
+    collector.early_ends.cancel()
+    collector.collect(40, buffer)
     simulation, teacher = Simulation(config, 2), make_policy("expert", config)
     for world in range(2):
         simulation.seed(world, seeded_key(TRAINING_SEEDS + 2 * 5 + world))
     results = simulation.reset()
     for tick in range(40):
-        np.testing.assert_array_equal(results.observations.reshape(4, -1), memory.seen[tick])
+        np.testing.assert_array_equal(
+            results.observations.reshape(4, -1), buffer.observations[tick]
+        )
         results = simulation.step(teacher.act(results.observations))
 
 
 def test_a_history_ends_where_the_episode_began_and_survives_the_ring() -> None:
-    memory = Memory(ticks=5, rows=1, entries=1, size=1, history=3)
+    buffer = SampleBuffer(ticks=5, rows=1, entries=1, size=1, history=3)
     ages = [0, 1, 2, 0, 1, 2, 3, 4]
     for tick, age in enumerate(ages):
-        memory.add(np.full((1, 1), float(tick), dtype=np.float32), np.array([age]))
-        memory.label(np.full((1, 1), float(tick), dtype=np.float32))
-    look = memory.inputs(np.array([4, 5, 7]), np.zeros(3, dtype=np.int64))
+        buffer.add(np.full((1, 1), float(tick), dtype=np.float32), np.array([age]))
+        buffer.label(np.full((1, 1), float(tick), dtype=np.float32))
+    look = buffer.inputs(np.array([4, 5, 7]), np.zeros(3, dtype=np.int64))
     np.testing.assert_array_equal(look, [[3, 3, 4], [3, 4, 5], [5, 6, 7]])
-    inputs, labels = memory.draw(np.random.default_rng(0), 500, 0, 1)
+    inputs, labels = buffer.draw(np.random.default_rng(0), 500, 0, 1)
     np.testing.assert_array_equal(inputs[:, -1:], labels)
     assert set(labels[:, 0]) == {5.0, 6.0, 7.0}  # whose history is still there
     assert (np.diff(inputs, axis=1) >= 0.0).all()
@@ -119,20 +124,22 @@ def test_the_teacher_flies_as_itself_above_an_expert_if_the_bound_allows() -> No
     """Labels are what the expert, asked in parallel, lacks; together they fly the teacher's episodes."""
     config = configure("paper", duration=0.5, start="formation")
     bound = 1.0
-    memories = [memory_of(config, 4, 60), memory_of(config, 4, 60)]
-    for memory, residual in zip(memories, (0.0, bound), strict=True):
-        flight = Flight(config, make_policy("expert-tuned", config), 4, seed=5, residual=residual)
-        flight.fly(60, memory)
-    plain, above = memories
-    np.testing.assert_allclose(above.seen, plain.seen, atol=1e-4)
-    assert ((above._age == 0).sum(axis=0) > 1).all()  # several episodes
+    buffers = [buffer_of(config, 4, 60), buffer_of(config, 4, 60)]
+    for buffer, residual in zip(buffers, (0.0, bound), strict=True):
+        collector = Collector(
+            config, make_policy("expert-tuned", config), 4, seed=5, residual=residual
+        )
+        collector.collect(60, buffer)
+    plain, above = buffers
+    np.testing.assert_allclose(above.observations, plain.observations, atol=1e-4)
+    assert ((above.ages == 0).sum(axis=0) > 1).all()  # several episodes
     largest = 0.0
     for world in range(4):
         expert, own = make_policy("expert", config), slice(2 * world, 2 * world + 2)
         for tick in range(60):
-            if above._age[tick, 2 * world] == 0:
+            if above.ages[tick, 2 * world] == 0:
                 expert.reset()
-            lacks = plain.labels[tick, own] - expert.act(above.seen[tick, own])
+            lacks = plain.labels[tick, own] - expert.act(above.observations[tick, own])
             np.testing.assert_allclose(bound * above.labels[tick, own], lacks, atol=1e-4)
             largest = max(largest, float(np.abs(lacks).max()))
     assert largest > 0.05
@@ -143,15 +150,15 @@ def test_a_correction_flies_from_its_file_as_it_learned_to_fly() -> None:
     config, bound = configure("paper", duration=0.5, start="formation"), 0.02
     torch.manual_seed(0)
     clone = Clone(config, 1, (8,), "tanh")
-    flight = Flight(config, make_policy("expert-tuned", config), 8, seed=2, residual=bound)
-    first = memory_of(config, 8, 30)
-    flight.fly(30, first)
+    collector = Collector(config, make_policy("expert-tuned", config), 8, seed=2, residual=bound)
+    first = buffer_of(config, 8, 30)
+    collector.collect(30, first)
     assert (np.abs(first.labels) == 1.0).any()
-    clone.fit_to(*first.everything(), config.layout)
+    clone.standardise(*first.all_samples(), config.layout)
     clone.size.fill_(2.0)
-    flight = Flight(config, make_policy("expert-tuned", config), 8, seed=2, residual=bound)
-    memory = memory_of(config, 8, 60)
-    flight.fly(60, memory, clone, share=0.0)
+    collector = Collector(config, make_policy("expert-tuned", config), 8, seed=2, residual=bound)
+    buffer = buffer_of(config, 8, 60)
+    collector.collect(60, buffer, Mixture(clone, share=0.0))
     card = clone.card(config, "residual-dagger", residual=bound)
     policy, simulation = Learned(config, (card, clone.network())), Simulation(config, 8)
     rng = np.random.default_rng(2)
@@ -160,7 +167,7 @@ def test_a_correction_flies_from_its_file_as_it_learned_to_fly() -> None:
         simulation.seed(world, seeded_key(TRAINING_SEEDS + 8 * 2 + world))
     seen = simulation.reset().observations
     for tick in range(60):
-        np.testing.assert_allclose(memory.seen[tick].reshape(seen.shape), seen, atol=1e-4)
+        np.testing.assert_allclose(buffer.observations[tick].reshape(seen.shape), seen, atol=1e-4)
         results = simulation.step(policy.act(seen))
         seen, left = results.observations, left - 1
         done = results.terminated | results.truncated | (left == 0)
@@ -186,19 +193,19 @@ def test_the_policy_file_says_what_the_clone_says(
 ) -> None:
     """As flown from the file, by other code, in closed loop."""
     config = configure("paper", duration=1.0)
-    memory = memory_of(config, 4, 40, history)
-    flight = Flight(config, make_policy("expert", config), 4, seed=0)
-    flight._left[:] = -1
-    flight.fly(40, memory)
+    buffer = buffer_of(config, 4, 40, history)
+    collector = Collector(config, make_policy("expert", config), 4, seed=0)
+    collector.early_ends.cancel()
+    collector.collect(40, buffer)
     torch.manual_seed(1)
     clone = Clone(config, history, (16, 16), activation)
-    clone.fit_to(*memory.everything(), config.layout)
+    clone.standardise(*buffer.all_samples(), config.layout)
     files.save(tmp_path / "x.safetensors", clone.card(config, "bc"), clone.network())
     policy = Learned(config, tmp_path / "x.safetensors")
     rows, largest = np.arange(8), 0.0
     for tick in range(40):
-        said = policy.act(memory.seen[tick].reshape(4, 2, -1)).reshape(8, -1)
-        own = clone.act(memory.inputs(np.full(8, tick), rows))
+        said = policy.act(buffer.observations[tick].reshape(4, 2, -1)).reshape(8, -1)
+        own = clone.act(buffer.inputs(np.full(8, tick), rows))
         np.testing.assert_allclose(said, own, atol=1e-5, rtol=1e-4)
         largest = max(largest, float(np.abs(own).max()))
     assert largest > 1e-3
@@ -276,14 +283,14 @@ def test_whatever_ends_it_the_best_so_far_stays(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    fly = course.Course._fly
+    collect = Run._collect
 
-    def ends(self: course.Course, number: int) -> None:
+    def ends(self: Run, number: int) -> None:
         if number == 1:
             raise error
-        fly(self, number)
+        collect(self, number)
 
-    monkeypatch.setattr(course.Course, "_fly", ends)
+    monkeypatch.setattr(Run, "_collect", ends)
     assert run(tmp_path, "--evaluate-every", "1") == status
     card, _ = files.load(tmp_path / "best.safetensors")
     assert card.steps > 0
@@ -295,13 +302,14 @@ def test_whatever_ends_it_the_best_so_far_stays(
 def test_exploration_is_white_and_what_is_learned_is_not_disturbed() -> None:
     """Labels are the teacher's; what was executed, as the next observation shows, is noisy."""
     config = configure("nominal", action="reference")
-    flight = Flight(config, make_policy("expert", config), 32, seed=1)
-    flight.explore = 0.1
-    flight._left[:] = -1
-    memory = memory_of(config, 32, 50)
-    flight.fly(50, memory)
-    executed = memory.seen[1:, :, config.layout.slices["previous_action"]][..., :3]
-    noise = (executed - memory.labels[:-1]).astype(np.float64)
+    collector = Collector(config, make_policy("expert", config), 32, seed=1)
+    collector.explore = 0.1
+    collector.early_ends.cancel()
+    buffer = buffer_of(config, 32, 50)
+    collector.collect(50, buffer)
+    executed = buffer.observations[1:, :, config.layout.slices["previous_action"]]
+    executed = executed[..., : config.action_size]
+    noise = (executed - buffer.labels[:-1]).astype(np.float64)
     assert noise.std() == pytest.approx(0.1, rel=0.03)
     assert abs((noise[1:] * noise[:-1]).mean()) < 0.03 * 0.01
 
@@ -316,7 +324,7 @@ def test_inputs_are_magnified_no_more_than_asked_for(most: float) -> None:
     spread = np.full(config.layout.size, 1e-3)
     spread[config.layout.slices["slot_error"]] = 4.0
     seen = rng.normal(0.0, spread * scale, (5000, config.layout.size)).astype(np.float32)
-    clone.fit_to(seen, np.ones((5000, 4), dtype=np.float32), config.layout)
+    clone.standardise(seen, np.ones((5000, 4), dtype=np.float32), config.layout)
     for gain in clone.gain.numpy().reshape(2, -1):
         assert gain[config.layout.slices["leader_velocity"]] == pytest.approx(most)
         assert gain[config.layout.slices["slot_error"]] == pytest.approx(0.25, rel=0.05)

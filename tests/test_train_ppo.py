@@ -23,8 +23,10 @@ with warnings.catch_warnings():
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-    import train.learner
-    from train.learner import Run, prepare
+    import train.ppo.run
+    import train.ppo.start
+    from train.ppo.run import Run
+    from train.ppo.start import prepare
 
 from baselines.files import load
 from baselines.files import save as save_policy
@@ -34,9 +36,10 @@ from formation_env import configure, formation_v0
 from formation_env.memory import REWARD
 from formation_env.vector import FormationVectorEnv
 from train import checkpoint, ppo
-from train.evaluation import HEADER, TRAINING_SEEDS
-from train.networks import Spread
-from train.options import Options, command
+from train.log import HEADER
+from train.ppo.networks import ObservationMoments
+from train.ppo.options import Options
+from train.seeds import TRAINING_SEEDS
 from train.vec import FollowerVecEnv
 
 WORLDS = 5
@@ -140,11 +143,11 @@ def test_the_central_critic_is_given_the_state() -> None:
     seen = env.reset()
     parallel.reset(seed=7)
     for act in actions(5, 2):
-        assert np.array_equal(seen[:, env.own :], np.stack([parallel.state()] * 2))
+        assert np.array_equal(seen[:, env.local_size :], np.stack([parallel.state()] * 2))
         seen, _, done, infos = env.step(act)
         parallel.step(dict(zip(parallel.possible_agents, act, strict=True)))
     assert done.all()
-    assert np.array_equal(infos[1]["terminal_observation"][env.own :], parallel.state())
+    assert np.array_equal(infos[1]["terminal_observation"][env.local_size :], parallel.state())
 
 
 def test_a_residual_of_nothing_is_the_expert() -> None:
@@ -267,7 +270,7 @@ def small(folder: Path, **options: Any) -> Options:
 def words(options: Options) -> list[str]:
     """As on a command line."""
     return [
-        *command(options).split()[3:],
+        *options.command().split()[3:],
         "--output",
         str(options.output),
         "--quiet",
@@ -293,7 +296,7 @@ def _short_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def numbers(run: Run) -> dict[str, Any]:
     """All that decides how a run goes on."""
-    run.save(run.diary)
+    run.save(run.record)
     return checkpoint.load(run.options.output / checkpoint.NAME)[1]
 
 
@@ -339,7 +342,7 @@ def test_the_file_acts_as_the_network(tmp_path: Path, options: dict[str, Any]) -
     run.train()
     with torch.no_grad():  # larger actions than at the start
         run.policy.action_net.weight.mul_(30.0)
-    card, net = run.made()
+    card, net = run.policy_file()
     assert card.package and card.method == ("residual" if "residual" in options else "ppo")
     env = run.env
     pilot, expert = Learned(env.config, (card, net)), Expert(env.config)
@@ -349,7 +352,9 @@ def test_the_file_acts_as_the_network(tmp_path: Path, options: dict[str, Any]) -
     expert.reset(worlds=env.worlds)
     for _ in range(10):
         wanted = run.model.predict(seen, deterministic=True)[0]
-        rows = seen[:, env.own - env.entries : env.own].reshape(env.worlds, env.followers, -1)
+        rows = seen[:, env.local_size - env.entries : env.local_size].reshape(
+            env.worlds, env.followers, -1
+        )
         got = pilot.act(rows)
         below = expert.act(rows)
         executed = wanted.reshape(got.shape)
@@ -373,14 +378,14 @@ def test_a_run_starts_from_a_file(tmp_path: Path) -> None:
     before = run.policy.mlp_extractor.value_net[0].weight.detach().clone()
     run.train(stop=lambda: run.model.num_timesteps >= 256)
     assert not torch.equal(before, run.policy.mlp_extractor.value_net[0].weight)
-    card_now, now = run.made()
+    card_now, now = run.policy_file()
     assert card_now.method == "ppo" and card_now.history == 2
     for a, b in zip((*net.weights, *net.biases), (*now.weights, *now.biases), strict=True):
         assert np.allclose(a, b, rtol=1e-6)
     source.unlink()  # it is not needed again
     run = prepare(Options(tmp_path / "two", resume=True, quiet=True))
     run.train()
-    assert not np.allclose(net.weights[0], run.made()[1].weights[0], rtol=1e-6)
+    assert not np.allclose(net.weights[0], run.policy_file()[1].weights[0], rtol=1e-6)
 
 
 def test_the_actor_may_learn_slower_than_the_critic(tmp_path: Path) -> None:
@@ -414,9 +419,9 @@ def test_how_far_updates_should_go_falls_with_the_learning_rate(tmp_path: Path) 
     run = prepare(small(tmp_path, kl=1e-3, actor_rate=0.5))
     for left, expected in ((1.0, 0.5), (0.0, 0.5 / 1.5)):
         run.model._current_progress_remaining = left
-        run.model._steer(1e-3)
+        run.model._adapt_actor_rate(1e-3)
         assert run.model.actor_rate == pytest.approx(expected)
-    run.model._steer(1e-4)
+    run.model._adapt_actor_rate(1e-4)
     assert run.model.actor_rate == pytest.approx(0.5 / 1.5)
 
 
@@ -425,10 +430,10 @@ def test_a_correction_of_a_file_goes_by_that_files_name(tmp_path: Path) -> None:
     prepare(small(tmp_path / "one", residual=0.3)).train()
     source = tmp_path / "one" / "last.safetensors"
     assert load(source)[0].method == "residual"
-    assert prepare(small(tmp_path / "two", init=source)).made()[0].method == "residual"
+    assert prepare(small(tmp_path / "two", init=source)).policy_file()[0].method == "residual"
     card, net = load(source)
     save_policy(source, replace(card, method="residual-dagger"), net)
-    made, _ = prepare(small(tmp_path / "three", init=source)).made()
+    made, _ = prepare(small(tmp_path / "three", init=source)).policy_file()
     assert (made.method, made.residual) == ("residual-dagger-ppo", 0.3)
 
 
@@ -440,10 +445,14 @@ def test_the_actor_does_not_see_the_state_and_the_critic_does(tmp_path: Path) ->
     dist = run.policy.get_distribution(seen)
     dist.distribution.mean.sum().backward()
     assert seen.grad is not None
-    assert (seen.grad[:, env.own :] == 0.0).all() and (seen.grad[:, : env.own] != 0.0).any()
+    assert (seen.grad[:, env.local_size :] == 0.0).all() and (
+        seen.grad[:, : env.local_size] != 0.0
+    ).any()
     seen.grad = None
     run.policy.predict_values(seen).sum().backward()
-    assert (seen.grad[:, env.own :] != 0.0).any() and (seen.grad[:, : env.own] != 0.0).any()
+    assert (seen.grad[:, env.local_size :] != 0.0).any() and (
+        seen.grad[:, : env.local_size] != 0.0
+    ).any()
 
 
 def test_training_seeds_are_nobody_elses(tmp_path: Path) -> None:
@@ -455,10 +464,10 @@ def test_training_seeds_are_nobody_elses(tmp_path: Path) -> None:
 
 def test_running_mean_and_variance() -> None:
     rows = np.random.default_rng(0).normal(3.0, 2.0, (100, configure().layout.size))
-    spread = Spread(configure().layout)
+    moments = ObservationMoments(configure().layout)
     for part in np.split(rows, [7, 60]):
-        spread.add(part)
-    mean, scale = spread.scales()
+        moments.add(part)
+    mean, scale = moments.scales()
     assert np.allclose(mean, rows.mean(0), atol=1e-5)
     position = configure().layout.slices["slot_error"]
     assert np.allclose(scale[position], rows.std(0)[position], atol=1e-5)
@@ -479,7 +488,7 @@ def test_a_full_disk_is_one_error_and_earlier_files_stay(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     run = prepare(small(tmp_path, resume=True, steps=1024))
-    monkeypatch.setattr(train.learner, "prepare", lambda options: run)
+    monkeypatch.setattr(train.ppo.start, "prepare", lambda options: run)
     monkeypatch.setattr(os, "fsync", full)
     status = ppo.main([*words(small(tmp_path, steps=1024)), "--resume"])
     assert status == 1
@@ -498,7 +507,7 @@ def test_an_interruption_while_compiling_ends_at_once(
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(train.learner, "Judge", interrupt)
+    monkeypatch.setattr(train.ppo.run, "Evaluator", interrupt)
     assert ppo.main(["--output", str(tmp_path / "run"), "--quiet"]) == 130
     assert "interrupted: nothing was written" in capsys.readouterr().err
     assert not (tmp_path / "run" / "checkpoint.safetensors").exists()
@@ -507,16 +516,16 @@ def test_an_interruption_while_compiling_ends_at_once(
 def test_an_interruption_saves(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    judged = train.learner.Judge.judge
+    score_network = train.ppo.run.Evaluator.score_network
     calls = []
 
-    def judge(self: Any, *made: Any) -> Any:
+    def interrupted(self: Any, *policy_file: Any) -> Any:
         calls.append(None)
         if len(calls) == 2:
             signal.raise_signal(signal.SIGINT)
-        return judged(self, *made)
+        return score_network(self, *policy_file)
 
-    monkeypatch.setattr(train.learner.Judge, "judge", judge)
+    monkeypatch.setattr(train.ppo.run.Evaluator, "score_network", interrupted)
     handler = signal.getsignal(signal.SIGINT)
     assert ppo.main(words(small(tmp_path, steps=10_000))) == 130
     assert "--resume" in capsys.readouterr().err
@@ -618,5 +627,5 @@ def test_a_policy_of_another_action_level_is_refused(
     prepare(small(tmp_path / "one")).train()
     source = tmp_path / "one" / "last.safetensors"
     assert ppo.main([*words(small(tmp_path / "two", action="rates")), "--init", str(source)]) == 2
-    assert "action reference, the task has rates" in capsys.readouterr().err
+    assert "action level 'reference': the configuration has 'rates'" in capsys.readouterr().err
     assert not (tmp_path / "two").exists()

@@ -13,8 +13,8 @@ from baselines import make_policy
 from formation_env import configure
 from formation_env.memory import REWARD
 from formation_env.simulation import Simulation, seeded_key
-from train.evaluation import TRAINING_SEEDS
-from train.rllib_rows import FollowerRows
+from train.rllib.rows import FollowerRows
+from train.seeds import TRAINING_SEEDS
 
 WORLDS = 3
 

@@ -18,11 +18,11 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # their own, at import
     for module in ("torch", "stable_baselines3", "tensorboard", "tyro"):
         pytest.importorskip(module)
-    from train.learner import prepare
+    from train.ppo.start import prepare
 
 from baselines.system.writing import claim, write_bytes
 from train import checkpoint, ppo
-from train.options import Options
+from train.ppo.options import Options
 
 ROOT = Path(__file__).resolve().parent.parent
 Change = Callable[[dict[str, Any], dict[str, Any]], object]

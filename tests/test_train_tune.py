@@ -15,10 +15,10 @@ pytest.importorskip("cma")
 from baselines.policies.tuned import lawful, own, read
 from baselines.scoring import rollout
 from formation_env import SCENARIOS, configure
-from train import tune_expert
-from train.gain_space import PLANNER, REACH, GainSpace
-from train.search import Candidate, Search, search
-from train.tune_expert import Options, main
+from train.tune_expert import main, options, tuning
+from train.tune_expert.gain_space import PLANNER, REACH, GainSpace
+from train.tune_expert.options import Options
+from train.tune_expert.search import Candidate, Search, search
 
 TINY = ["--episodes", "4", "--evaluations", "36", "--validation", "8", "--finalists", "3"]
 TINY += ["--threads", "2", "--quiet"]
@@ -66,13 +66,13 @@ def _hill(distance: float) -> tuple[Search, list[Candidate]]:
     space = GainSpace(configure("nominal", action="reference"))
     top = space.gains(np.full(len(space.names), distance), "zero").document()["planner"]
 
-    def value(candidates: Any) -> list[float]:
+    def mean_returns(candidates: Any) -> list[float]:
         rows = [[g.document()["planner"][name] for name in PLANNER] for g in candidates]
         goal = np.array([top[name] for name in PLANNER])
         return [-float(np.square(np.log1p(row) - np.log1p(goal)).sum()) for row in rows]
 
     seen: list[Candidate] = []
-    return Search(space, value, lambda _, generation: seen.extend(generation), 0.5, 3), seen
+    return Search(space, mean_returns, lambda _, generation: seen.extend(generation), 0.5, 3), seen
 
 
 def test_the_search_finds_the_top_of_a_hill_and_restarts_when_it_has() -> None:
@@ -94,12 +94,12 @@ def test_what_is_known_is_not_flown_again() -> None:
 
     def counting(candidates: Any) -> list[float]:
         flown.append(len(candidates))
-        return drive.value(candidates)
+        return drive.mean_returns(candidates)
 
-    def told(_: str, generation: Any) -> None:
+    def noted(_: str, generation: Any) -> None:
         again.extend(generation)
 
-    resumed = drive._replace(value=counting, told=told)
+    resumed = drive._replace(mean_returns=counting, on_generation=noted)
     search(resumed, "zero", 60, [c.value for c in seen[:25]])
     assert again == seen
     assert sum(flown) == 35
@@ -117,7 +117,7 @@ def _detuned(monkeypatch: pytest.MonkeyPatch) -> None:
 
         return plain(config, planner=replace(config.planner, k1=0.05, kz1=0.02), duration=6.0)
 
-    monkeypatch.setattr(tune_expert, "configure", slow)
+    monkeypatch.setattr(options, "configure", slow)
 
 
 def test_a_small_search_improves_detuned_gains(
@@ -223,12 +223,12 @@ def test_gains_that_overflow_are_the_worst(monkeypatch: pytest.MonkeyPatch) -> N
 
         monkeypatch.setattr(rollout, "fly", fly)
 
-    policy = tune_expert.ExpertTuned(configure("nominal"))
+    policy = tuning.ExpertTuned(configure("nominal"))
     refuse("action of follower_1 of world 7 = [nan]: expected finite numbers")
-    assert tune_expert._return(policy, range(2)) == -1e3
+    assert tuning.mean_return(policy, range(2)) == -1e3
     refuse("something else")
     with pytest.raises(ValueError, match="something else"):
-        tune_expert._return(policy, range(2))
+        tuning.mean_return(policy, range(2))
 
 
 def test_options_are_checked_by_their_own_names() -> None:

@@ -1,4 +1,4 @@
-"""Everything a run needs to go on, in one safetensors file: numbers and JSON, nothing to execute."""
+"""The file with everything that a run needs to be resumed: safetensors with JSON, nothing to execute."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import torch
 from baselines.system.reading import require_regular
 from baselines.system.writing import write_bytes
 from formation_env.checks import integer, number, require, shown
-from train.saved import Arrays, fact, moments, take
+from train.checkpoint_contents import Arrays, adam_moments, array_like, fact
 
 VERSION = 1
 NAME = "checkpoint.safetensors"
@@ -38,7 +38,7 @@ def require_there(path: Path) -> None:
 
 
 def save(path: Path, facts: dict[str, Any], arrays: Arrays) -> None:
-    """Facts that JSON takes, and arrays by name."""
+    """Write facts that JSON takes, and arrays by name."""
     from safetensors.numpy import save as serialise
 
     text = json.dumps({"version": VERSION, **facts})
@@ -47,21 +47,24 @@ def save(path: Path, facts: dict[str, Any], arrays: Arrays) -> None:
 
 
 def load(path: Path) -> tuple[dict[str, Any], Arrays]:
-    """What `save` wrote; `train.saved` checks it. Raises `ValueError` naming the file and what is amiss."""
+    """The facts and arrays of a file, which `train.checkpoint_contents` checks.
+
+    Raises `ValueError` naming the file and what is wrong with it.
+    """
     from safetensors import SafetensorError, safe_open
 
     require_there(path)
     try:
         with safe_open(path, framework="np") as file:
-            text = (file.metadata() or {}).get(_KEY)
+            run_text = (file.metadata() or {}).get(_KEY)
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (OSError, SafetensorError, TypeError, AttributeError, KeyError) as problem:
-        # The latter three of a kind of number that NumPy has not.
+        # The latter three for kinds of numbers that NumPy does not have.
         reason = problem.strerror if isinstance(problem, OSError) else None
-        told = " ".join(str(reason or problem).split())[:200]
-        raise ValueError(f"{path}: not a checkpoint that can be read ({told})") from None
+        text = " ".join(str(reason or problem).split())[:200]
+        raise ValueError(f"{path}: not a checkpoint that can be read ({text})") from None
     try:
-        facts = json.loads(text) if text is not None else None
+        facts = json.loads(run_text) if run_text is not None else None
     except (ValueError, RecursionError):  # the latter of a thousand brackets
         facts = None
     if not isinstance(facts, dict) or facts.get("version") != VERSION:
@@ -74,7 +77,7 @@ def load(path: Path) -> tuple[dict[str, Any], Arrays]:
 
 
 def optimiser_state(optimiser: torch.optim.Optimizer) -> Arrays:
-    """Its moments, by parameter."""
+    """Adam's moments as arrays, named by the parameter's number and the moment's name."""
     return {
         f"{index}.{name}": value.numpy().copy()
         for index, each in optimiser.state_dict()["state"].items()
@@ -87,14 +90,14 @@ def restore_optimiser(optimiser: torch.optim.Optimizer, arrays: Arrays) -> None:
     shapes = [tuple(p.shape) for part in optimiser.param_groups for p in part["params"]]
     state = {
         index: {name: torch.from_numpy(array.copy()) for name, array in each.items()}
-        for index, each in moments(arrays, shapes).items()
+        for index, each in adam_moments(arrays, shapes).items()
     }
     groups = optimiser.state_dict()["param_groups"]
     optimiser.load_state_dict({"state": state, "param_groups": groups})
 
 
 def random_state() -> tuple[dict[str, Any], Arrays]:
-    """The global generators that PPO draws from, PyTorch's and NumPy's."""
+    """The state of the global generators that PPO draws from, PyTorch's and NumPy's: facts and arrays."""
     _, keys, position, has_normal, normal = np.random.get_state()  # noqa: NPY002
     arrays = {"torch": torch.get_rng_state().numpy().copy(), "numpy": np.array(keys)}
     return {"position": int(position), "has_normal": has_normal, "normal": normal}, arrays
@@ -103,14 +106,14 @@ def random_state() -> tuple[dict[str, Any], Arrays]:
 def restore_random(facts: Any, arrays: Arrays) -> None:
     """Take back what `random_state` gave, arrays from the group `random`.
 
-    NumPy takes any position and reads there, wherever that is.
+    The position is checked here, since NumPy reads at any that it is given.
     """
     require(isinstance(facts, dict), "random", facts, "an object")
-    keys = take(arrays, "random/numpy", (624,), np.uint32)
+    keys = array_like(arrays, "random/numpy", (624,), np.uint32)
     position = integer("random.position", fact(facts, "position"), 0, 624)
     has_normal = integer("random.has_normal", fact(facts, "has_normal"), 0, 1)
     normal = number("random.normal", fact(facts, "normal"), -100.0, 100.0)
-    state = torch.from_numpy(take(arrays, "random/torch", _TORCH, np.uint8).copy())
+    state = torch.from_numpy(array_like(arrays, "random/torch", _TORCH, np.uint8).copy())
     trial = torch.Generator()
     try:
         trial.set_state(state)

@@ -1,55 +1,143 @@
-"""The options of `python -m train.ppo`."""
+"""The options that several training commands share, with their help texts, ranges and checks.
+
+`RunOptions` are those of all, `PPOOptions` those of PPO, whether with Stable-Baselines3 or with RLlib. A
+command's own options are in `options.py` of its folder.
+"""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+import shlex
+from collections.abc import Mapping
+from dataclasses import MISSING, Field, asdict, dataclass, fields
+from math import isfinite
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
-from formation_env import FormationConfig, configure
-from train.command_line import check, repeated
-from train.saved import defaults
+from formation_env import SCENARIOS, FormationConfig, configure
+from train.command_line import flag, refuse
 
-# Of the exploration at the start, by action level: about how far apart the actions are that matter.
+Ranges = Mapping[str, tuple[float, float]]  # least and largest value of an option, by name
+
+# Standard deviation of the exploration at the start, by action level, in units of the largest action:
+# about how far apart the actions are that matter.
 STD = {"wrench": 0.05, "rates": 0.05, "reference": 0.3}
-FINE = 0.2  # part of it when the actor comes from a file
 
 
 @dataclass(frozen=True)
-class Options:
-    """Train one policy, shared by all followers, with PPO."""
+class RunOptions:
+    """Options of every command that trains a network.
+
+    Raises `ValueError` naming an option that is impossible.
+    """
 
     output: Path
-    """Folder for the policies, the log and the checkpoint; made if it is not there."""
+    """Folder for the best policy and the log; made if it is not there."""
     scenario: str = "nominal"
     """Name of the scenario that is trained on: nominal, paper, experiment, agile or swarm."""
     action: Literal["wrench", "rates", "reference"] | None = None
     """Action level: wrench, rates or reference; by default the scenario's own."""
+    seed: int = 0
+    """Seed of all random numbers: initial weights, episodes, exploration, order of the samples."""
+    hidden: tuple[int, ...] = (64, 64)
+    """Widths of the hidden layers, from input to output."""
+    activation: Literal["tanh", "relu"] = "tanh"
+    """Activation function of the hidden layers."""
+    episodes: int = 32
+    """Number of episodes in an evaluation."""
+    threads: int = 1
+    """Number of threads of PyTorch and of the simulation.
+    A second one gains about a sixth on a machine that does nothing else, and nothing on a busy one.
+    Results with another number of threads differ by rounding."""
+    quiet: bool = False
+    """Print errors only: no progress bar and no summary."""
+
+    # Of the class, not options themselves.
+    program: ClassVar[str]  # module that `python -m` runs
+    without_effect: ClassVar[tuple[str, ...]]  # options that change no result
+    integers: ClassVar[Ranges] = {
+        "seed": (0, 2**32 - 1),
+        "episodes": (1, 100_000),
+        "threads": (1, 1024),
+    }
+    numbers: ClassVar[Ranges] = {}  # real ones, which may also be None
+
+    def __post_init__(self) -> None:
+        if self.scenario not in SCENARIOS:
+            refuse("scenario", self.scenario, f"one of {', '.join(SCENARIOS)}")
+        for name, (least, most) in self.integers.items():
+            value = getattr(self, name)
+            if not (_is_integer(value) and least <= value <= most):
+                refuse(name, value, f"a whole number from {least} to {most}")
+        for name, (low, high) in self.numbers.items():
+            value = getattr(self, name)
+            if value is not None and not (_is_number(value) and low <= value <= high):
+                refuse(name, value, f"a number from {low:g} to {high:g}")
+        hidden = self.hidden
+        if not 0 < len(hidden) <= 8 or not all(_is_integer(n) and 1 <= n <= 4096 for n in hidden):
+            refuse("hidden", hidden, "1 to 8 widths from 1 to 4096")
+        self.config()
+
+    def config(self) -> FormationConfig:
+        """The task as the leaderboard has it."""
+        given: dict[str, Any] = {} if self.action is None else {"action": self.action}
+        return configure(self.scenario, **given)
+
+    def to_json(self) -> dict[str, Any]:
+        """The options by name, as JSON takes them."""
+        return {k: str(v) if isinstance(v, Path) else v for k, v in asdict(self).items()}
+
+    def command(self) -> str:
+        """The command that repeats the run: with every option that is not its default, but for those
+        that change no result."""
+        return repeating_command(
+            self.program, self.to_json(), defaults(type(self)), self.without_effect
+        )
+
+
+def _is_integer(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _is_number(value: object) -> bool:
+    return _is_integer(value) or (isinstance(value, float) and isfinite(value))
+
+
+def defaults(kind: type[Any]) -> dict[str, Any]:
+    """The defaults of a dataclass by name; None where there is none."""
+    return {f.name: _default(f) for f in fields(kind)}
+
+
+def _default(field: Field[Any]) -> Any:
+    if field.default_factory is not MISSING:
+        return field.default_factory()
+    return None if field.default is MISSING else field.default
+
+
+def repeating_command(
+    program: str, values: Mapping[str, Any], usual: Mapping[str, Any], without: tuple[str, ...]
+) -> str:
+    """`python -m program` with the `values` that are not the `usual` ones, none of those named `without`."""
+    words = ["python", "-m", program]
+    for name, value in values.items():
+        if name not in without and value != usual[name]:
+            words += [flag(name), *map(str, value if isinstance(value, tuple) else (value,))]
+    return shlex.join(words)
+
+
+@dataclass(frozen=True)
+class PPOOptions(RunOptions):
+    """Options of PPO."""
+
+    output: Path
+    """Folder for the policies, the log and the checkpoint; made if it is not there."""
     steps: int = 20_000_000
     """Stop after this many agent steps; one is one control tick of one follower."""
     minutes: float | None = None
     """Stop after this many minutes of wall time, if that is earlier; by default no limit of time."""
-    seed: int = 0
-    """Seed of everything that is drawn: initial weights, episodes, exploration."""
     resume: bool = False
-    """Continue the run in the output folder with the options that it was started with.
-    Of those given here only steps, minutes, profile and quiet count."""
-    init: Path | None = None
-    """Policy file whose actor training starts from; by default an untrained one."""
-    residual: float = 0.0
-    """Largest correction to the expert's action that is learned, from 0 to 1 (the largest action).
-    0 learns the action itself."""
-    history: int = 1
-    """Number of observations that the policy sees, the present one included."""
+    """Continue the run in the output folder with the options that it was started with."""
     critic: Literal["local", "central"] = "local"
     """What the critic sees: local is the follower's observation, central the world's true state too."""
-
-    start: Literal["formation", "ground"] | None = None
-    """How training episodes begin, near the formation or on the ground; by default as the scenario's do."""
-    start_offset: float | None = None
-    """Radius, in m, of the ball around its slot in which a follower begins; by default the scenario's."""
-    scenario_duration: float | None = None
-    """Length of a training episode, in s; by default the scenario's."""
 
     worlds: int = 256
     """Number of worlds that are flown at once."""
@@ -61,13 +149,6 @@ class Options:
     """Number of passes over the rollout in one update."""
     learning_rate: float = 1e-3
     """Step size of Adam at the start; it falls in a straight line to a tenth of it at the last step."""
-    actor_rate: float = 1.0
-    """Factor, from 0 to 1, on the learning rate of the actor.
-    A critic that begins from nothing has to learn faster than an actor that comes from a file."""
-    kl: float | None = None
-    """Mean Kullback-Leibler divergence that an update should change the actor by, at the start.
-    The actor's rate is steered to it, from --actor-rate on; it falls as the learning rate does.
-    By default the rate is not steered."""
     gamma: float = 0.98
     """Discount factor per control tick. Rewards are scaled by 1 - gamma, so that values are of order one."""
     gae_lambda: float = 0.95
@@ -79,92 +160,35 @@ class Options:
     value: float = 0.5
     """Weight of the value function's error in the loss."""
     gradient: float = 0.5
-    """Largest norm of a gradient; a larger one is scaled down."""
+    """Largest norm of a gradient; a larger one is scaled down to it."""
     std: float | None = None
     """Standard deviation of the actions at the start, in units of the largest action.
-    By default it is chosen for the action level, and a fifth of that with --init."""
-    hidden: tuple[int, ...] = (64, 64)
-    """Widths of the hidden layers; with --init those of the file."""
-    activation: Literal["tanh", "relu"] = "tanh"
-    """Activation function of the hidden layers; with --init that of the file."""
-    normalise: Literal["fixed", "running"] = "fixed"
-    """How inputs are normalised: by fixed scales, or by their running mean and variance."""
-    critic_steps: int = 0
-    """Number of agent steps at the start during which only the critic learns; of use with --init."""
+    By default 0.05 at action levels wrench and rates, and 0.3 at reference."""
 
     evaluate_every: int = 1_000_000
     """Number of agent steps between two evaluations."""
-    episodes: int = 32
-    """Number of episodes in an evaluation."""
     save_every: float = 1.0
     """Time between two checkpoints, in minutes; every evaluation is followed by one too."""
-    threads: int = 1
-    """Number of threads of PyTorch and of the simulation.
-    A second one gains about a sixth on a machine that does nothing else, and nothing on a busy one.
-    Results with another number of threads differ by rounding."""
-    profile: bool = False
-    """Print at the end which part of the time went where."""
-    quiet: bool = False
-    """Print errors only: no progress bar and no summary."""
 
-    def __post_init__(self) -> None:
-        check(self, _WHOLE, _REAL)
-        self.training_config()
-
-    def config(self) -> FormationConfig:
-        """The task as the leaderboard has it."""
-        given: dict[str, Any] = {} if self.action is None else {"action": self.action}
-        return configure(self.scenario, **given)
-
-    def training_config(self) -> FormationConfig:
-        """The task as it is trained. Raises `ValueError` naming the field if it is impossible."""
-        given: dict[str, Any] = {
-            "start": self.start,
-            "start_offset": self.start_offset,
-            "duration": self.scenario_duration,
-        }
-        return configure(self.config(), **{k: v for k, v in given.items() if v is not None})
-
-
-# Least and largest.
-_WHOLE = {
-    "steps": (1, 2**50),
-    "seed": (0, 2**32 - 1),
-    "history": (1, 100),
-    "worlds": (1, 2**20),
-    "rollout": (2, 2**16),
-    "batch": (2, 2**24),
-    "epochs": (1, 1000),
-    "critic_steps": (0, 2**50),
-    "evaluate_every": (1, 2**50),
-    "episodes": (1, 100_000),
-    "threads": (1, 1024),
-}
-_REAL = {
-    "minutes": (1e-9, 1e9),
-    "residual": (0.0, 1.0),
-    "learning_rate": (1e-12, 1.0),
-    "actor_rate": (0.0, 1.0),
-    "kl": (1e-9, 1.0),
-    "gamma": (0.0, 0.999999),
-    "gae_lambda": (0.0, 1.0),
-    "clip_range": (1e-6, 1e6),
-    "entropy": (0.0, 1e6),
-    "value": (0.0, 1e6),
-    "gradient": (1e-9, 1e9),
-    "std": (1e-6, 10.0),
-    "save_every": (0.0, 1e9),
-}
-# What a resumed run may change.
-FREE = ("steps", "minutes", "resume", "profile", "quiet", "output")
-
-
-def to_json(options: Options) -> dict[str, Any]:
-    """The options as JSON takes them."""
-    return {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
-
-
-def command(options: Options) -> str:
-    """The command that repeats a run, without what does not change its result."""
-    idle = ("output", "resume", "profile", "quiet", "threads")
-    return repeated("train.ppo", to_json(options), defaults(Options), idle)
+    free_on_resume: ClassVar[tuple[str, ...]]  # options that a resumed run takes as they are given
+    integers: ClassVar[Ranges] = {
+        **RunOptions.integers,
+        "steps": (1, 2**50),
+        "worlds": (1, 2**20),
+        "rollout": (2, 2**16),
+        "batch": (2, 2**24),
+        "epochs": (1, 1000),
+        "evaluate_every": (1, 2**50),
+    }
+    numbers: ClassVar[Ranges] = {
+        "minutes": (1e-9, 1e9),
+        "learning_rate": (1e-12, 1.0),
+        "gamma": (0.0, 0.999999),
+        "gae_lambda": (0.0, 1.0),
+        "clip_range": (1e-6, 1e6),
+        "entropy": (0.0, 1e6),
+        "value": (0.0, 1e6),
+        "gradient": (1e-9, 1e9),
+        "std": (1e-6, 10.0),
+        "save_every": (0.0, 1e9),
+    }

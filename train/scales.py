@@ -1,4 +1,4 @@
-"""How large the numbers of an observation and of the state typically are: what networks divide by."""
+"""Typical sizes of the entries of an observation and of the central state, by which networks divide them."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from formation_env.task import Layout
 
 Array = NDArray[np.float32]
 
-CLIP = 10.0  # of normalised inputs
-# By how much an entry typically differs from what is usual while a formation is kept; units as in the
-# layout. Fixed, because measured spreads hide centimetres behind the metres of the first minutes, and
-# are zero for offsets, which other formations then fall outside of. The position is all but hidden:
-# where in the world a formation flies is none of a follower's business.
+CLIP = 10.0  # bound of normalised inputs, either way
+# By how much each field of an observation typically differs from its mean while a formation is kept; units
+# as in the layout. Fixed, because measured deviations hide centimetres behind the metres of the first
+# minutes, and are zero for offsets, so that other formations would be clipped. The position is divided by
+# so much that it hardly counts: what a follower should do does not depend on where in the world it flies.
 SCALES = {
     "slot_error": 0.3,
     "relative_velocity": 0.3,
@@ -32,12 +32,14 @@ SCALES = {
 }
 NEIGHBOUR_SCALE = 1.0
 UPRIGHT = (0.0, 0.0, 1.0)  # mean of body_z
-# Inertial positions, velocities, attitudes and angular velocities, as `state()` has them.
-_VEHICLE = [5.0] * 3 + [1.0] * 3 + [0.5] * 4 + [1.0] * 3
+# The fields of `state()` in its order: of each vehicle, of each follower's slot, of the world.
+_POSITION, _VELOCITY, _ATTITUDE, _ANGULAR_VELOCITY = [5.0] * 3, [1.0] * 3, [0.5] * 4, [1.0] * 3
+_VEHICLE = [*_POSITION, *_VELOCITY, *_ATTITUDE, *_ANGULAR_VELOCITY]
+_SLOT, _STARTED = [5.0] * 3, [1.0]
 
 
 def fixed_scales(layout: Layout) -> tuple[Array, Array]:
-    """Mean and scale of one observation's entries."""
+    """Mean and scale of one observation's entries, float32 `(entries,)` each."""
     mean = np.zeros(layout.size, dtype=np.float32)
     scale = np.full(layout.size, NEIGHBOUR_SCALE, dtype=np.float32)
     for name, where in layout.slices.items():
@@ -47,6 +49,6 @@ def fixed_scales(layout: Layout) -> tuple[Array, Array]:
 
 
 def state_scales(followers: int) -> Array:
-    """Scales of the numbers of `state()`."""
-    numbers = _VEHICLE * (followers + 1) + [5.0] * (3 * followers) + [1.0]
+    """Scales of the numbers of `state()`, float32 `(numbers,)`."""
+    numbers = _VEHICLE * (followers + 1) + _SLOT * followers + _STARTED
     return np.array(numbers, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""The Stable-Baselines3 face: many worlds, every follower a row of one shared policy."""
+"""The environment for Stable-Baselines3: many worlds, every follower a row of one shared policy."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from baselines.policies.expert import Expert
 from formation_env import FormationConfig, faces
 from formation_env.arguments import Fixed, check_options, configured, whole_seed
 from formation_env.checks import boolean, choice, integer, number, refuse
-from formation_env.memory import REWARD, SLOT, Results
+from formation_env.memory import Results
 from formation_env.simulation import Snapshot
 from formation_env.vector import MOST_WORLDS, FormationVectorEnv
+from train.residual import corrected
+from train.rows import EarlyEnds, central_state, follower_rewards
 
 Array = NDArray[Any]
-
 
 LONGEST_HISTORY = 1024  # rows of an observation
 MOST_SCALE = 1e9  # of rewards, up to some 1e6 each: the product is far from where float32 ends
@@ -35,8 +36,9 @@ class FollowerVecEnv(Fixed, VecEnv):
 
     An observation is the follower's last `history` rows, newest last; an episode begins with its first
     one repeated. With `critic="central"` the world's true state follows, as PettingZoo's `state()`
-    gives it. Rewards are the follower's own times `reward_scale`. All rows of a world end together;
-    ended rows carry `terminal_observation` and `TimeLimit.truncated` and continue with the next episode.
+    gives it: the first `local_size` numbers are the follower's own. Rewards are the follower's own times
+    `reward_scale`. All rows of a world end together; ended rows carry `terminal_observation` and
+    `TimeLimit.truncated` and continue with the next episode.
 
     With `residual` > 0 the expert flies underneath: what is executed is its action plus `residual`
     times the row's, which is clipped to [-1, 1]. World w draws from the stream of seed
@@ -80,9 +82,9 @@ class FollowerVecEnv(Fixed, VecEnv):
         )
         self.worlds, self.followers = worlds, self.config.followers
         self.entries = self.config.layout.size
-        self.own = history * self.entries  # of an observation's numbers, those the actor may see
-        self.seconds = 0.0  # in the simulation, since construction
-        self.seconds_here = 0.0  # and in all of step_wait
+        self.local_size = history * self.entries  # of an observation's numbers, the follower's own
+        self.simulation_seconds = 0.0  # wall time spent in the simulation, since construction
+        self.step_seconds = 0.0  # and in all of step_wait
         self._history, self._residual = history, residual
         self._central, self._scale = critic == "central", reward_scale
         self._stagger = boolean("stagger", stagger)
@@ -90,7 +92,7 @@ class FollowerVecEnv(Fixed, VecEnv):
         self._expert = Expert(self.config) if residual > 0.0 else None
         self._last = np.zeros((worlds, self.followers, self.entries), dtype=np.float32)
         self._stack = np.zeros((worlds, self.followers, history, self.entries), dtype=np.float32)
-        self._left = np.zeros(worlds, dtype=np.int64)  # ticks to an early end, negative: none
+        self._early_ends = EarlyEnds(worlds)
         self._actions = np.zeros((worlds, self.followers, self.config.action_size), np.float32)
         high = np.tile(self.config.layout.bound, history)
         if self._central:
@@ -118,19 +120,18 @@ class FollowerVecEnv(Fixed, VecEnv):
         first = None if seed is None else self._seed_offset + seed
         self._reset_seeds()
         self.envs.reset(seed=first)
-        self._left[:] = -1
+        self._early_ends.cancel()
         if self._stagger:
-            ages = np.random.default_rng(first)
-            self._left[:] = ages.integers(1, self.config.max_steps + 1, self.worlds)
+            self._early_ends.stagger(np.random.default_rng(first), self.config.max_steps)
         results = self.envs.simulation.look()
         if self._expert is not None:
             self._expert.reset(worlds=self.worlds)
-        self._take(results, np.ones(self.worlds, dtype=np.bool_))
+        self._add_observations(results, np.ones(self.worlds, dtype=np.bool_))
         self.reset_infos = [{} for _ in range(self.num_envs)]
         return self._observe(results)
 
-    def _take(self, results: Results, fresh: NDArray[np.bool_]) -> None:
-        """Take in observations, as the first of an episode in the `fresh` worlds."""
+    def _add_observations(self, results: Results, fresh: NDArray[np.bool_]) -> None:
+        """Append observations to the histories; in `fresh` worlds they are an episode's first."""
         self._last = results.observations
         if self._history > 1:
             self._stack[:, :, :-1] = self._stack[:, :, 1:]
@@ -139,13 +140,11 @@ class FollowerVecEnv(Fixed, VecEnv):
             self._stack[fresh] = results.observations[fresh][:, :, None]
 
     def _observe(self, results: Results) -> Array:
-        """What every row sees, a fresh array."""
-        rows = self._stack.reshape(self.num_envs, self.own)
+        """Every row's observation, a new array."""
+        rows = self._stack.reshape(self.num_envs, self.local_size)
         if not self._central:
             return rows.copy()
-        state = faces.states(self.envs.simulation, results.outputs[..., SLOT : SLOT + 3])
-        state = np.repeat(state, self.followers, axis=0)
-        return np.concatenate((rows, state), axis=1)
+        return np.concatenate((rows, central_state(self.envs.simulation, results)), axis=1)
 
     # -- stepping -----------------------------------------------------------------------------------
 
@@ -160,33 +159,31 @@ class FollowerVecEnv(Fixed, VecEnv):
         start = perf_counter()
         actions = self._actions
         if self._expert is not None:
-            correction = self._residual * np.clip(actions, -1.0, 1.0)
-            actions = np.clip(self._expert.act(self._last) + correction, -1.0, 1.0)
+            actions = corrected(self._expert.act(self._last), actions, self._residual)
         begun = perf_counter()
         results = self.envs.simulation.step(actions)
-        self.seconds += perf_counter() - begun
-        self._left -= 1
+        self.simulation_seconds += perf_counter() - begun
         terminated = results.terminated
-        done = terminated | results.truncated | (self._left == 0)
-        self._take(results, np.zeros_like(done))
-        seen = self._observe(results)
-        rewards = (self._scale * results.outputs[..., REWARD]).astype(np.float32).reshape(-1)
+        done = terminated | results.truncated | self._early_ends.tick()
+        self._add_observations(results, np.zeros_like(done))
+        observations = self._observe(results)
+        rewards = (self._scale * follower_rewards(results)).astype(np.float32).reshape(-1)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         dones = np.repeat(done, self.followers)
         if done.any():
             for row in np.flatnonzero(dones):
-                infos[row]["terminal_observation"] = seen[row].copy()
+                infos[row]["terminal_observation"] = observations[row].copy()
                 infos[row]["TimeLimit.truncated"] = not terminated[row // self.followers]
-            seen = self._begin_again(done)
-        self.seconds_here += perf_counter() - start
-        return seen, rewards, dones, infos
+            observations = self._begin_again(done)
+        self.step_seconds += perf_counter() - start
+        return observations, rewards, dones, infos
 
     def _begin_again(self, done: NDArray[np.bool_]) -> Array:
-        """Start the next episode in the worlds that are `done`; what every row sees then."""
+        """Start the next episode in the worlds that are `done`; every row's observation then."""
         begun = perf_counter()
         results = self.envs.simulation.reset(done)
-        self.seconds += perf_counter() - begun
-        self._left[done] = -1
+        self.simulation_seconds += perf_counter() - begun
+        self._early_ends.cancel(done)
         if self._expert is not None:
             self._expert.restart(done)
         self._last = results.observations
@@ -229,10 +226,14 @@ class FollowerVecEnv(Fixed, VecEnv):
     def get_state(self) -> dict[str, Array]:
         """Everything needed to continue identically, as copies of arrays by name."""
         state = {f"world.{k}": v for k, v in self.envs.get_state().state.items()}
-        state |= {"last": self._last.copy(), "stack": self._stack.copy(), "left": self._left.copy()}
+        state |= {name: array.copy() for name, array in self._own_state().items()}
         if self._expert is not None:
             state |= {f"expert.{k}": v for k, v in self._expert.get_state().items()}
         return state
+
+    def _own_state(self) -> dict[str, Array]:
+        """The arrays that this class itself keeps from tick to tick."""
+        return {"last": self._last, "stack": self._stack, "left": self._early_ends.left}
 
     def set_state(self, state: dict[str, Array]) -> None:
         """Continue from what `get_state` of the same configuration and size returned.
@@ -247,9 +248,9 @@ class FollowerVecEnv(Fixed, VecEnv):
             if group not in parts or not isinstance(array, np.ndarray):
                 refuse(f"state[{name!r}]", array, "an array that get_state returned")
             parts[group][rest] = array
-        for name in ("last", "stack", "left"):
-            own, given = getattr(self, f"_{name}"), parts[""].get(name)
-            if given is None or given.shape != own.shape or given.dtype != own.dtype:
+        for name, present in self._own_state().items():
+            given = parts[""].get(name)
+            if given is None or given.shape != present.shape or given.dtype != present.dtype:
                 raise ValueError(f"state[{name!r}] does not fit {self.worlds} worlds of this kind")
             if not np.isfinite(given).all():
                 refuse(f"state[{name!r}]", given, "finite numbers")
@@ -257,5 +258,5 @@ class FollowerVecEnv(Fixed, VecEnv):
         if self._expert is not None:
             self._expert.reset(worlds=self.worlds)
             self._expert.set_state(parts["expert"])
-        for name in ("last", "stack", "left"):
-            setattr(self, f"_{name}", parts[""][name].copy())
+        self._last, self._stack = parts[""]["last"].copy(), parts[""]["stack"].copy()
+        self._early_ends.left[:] = parts[""]["left"]

@@ -15,11 +15,11 @@ from baselines import files
 from baselines.policies.learned import Learned
 from baselines.scoring import cluster
 from train import checkpoint, rllib
-from train.rllib_module import FollowerModule
-from train.rllib_options import Options
-from train.rllib_rows import FollowerRows
-from train.rllib_run import Run, _model_config, prepare
-from train.saved import group
+from train.checkpoint_contents import group
+from train.rllib.module import FollowerModule
+from train.rllib.options import Options
+from train.rllib.rows import FollowerRows
+from train.rllib.run import Run, model_config, prepare
 
 SMALL = ["--worlds", "4", "--rollout", "16", "--batch", "64", "--epochs", "1", "--episodes", "2",
          "--hidden", "16", "8", "--quiet"]  # fmt: skip
@@ -48,8 +48,8 @@ def test_files_of_a_run(trained: Path) -> None:
     card, _ = files.load(trained / "last.safetensors")
     assert card.steps >= 600
     assert card.command == (
-        "python -m train.rllib --steps 600 --critic central --runners 2 --worlds 4 --rollout 16 "
-        "--batch 64 --epochs 1 --hidden 16 8 --episodes 2"
+        "python -m train.rllib --hidden 16 8 --episodes 2 --steps 600 --critic central --worlds 4 "
+        "--rollout 16 --batch 64 --epochs 1 --runners 2"
     )
 
 
@@ -61,7 +61,7 @@ def test_numpy_flies_what_torch_learned(trained: Path) -> None:
     module = FollowerModule(
         observation_space=rows.single_observation_space,
         action_space=rows.single_action_space,
-        model_config=_model_config(options),
+        model_config=model_config(options),
     )
     weights = {k: torch.tensor(v) for k, v in group(arrays, "module").items()}
     module.load_state_dict(weights)
@@ -70,7 +70,9 @@ def test_numpy_flies_what_torch_learned(trained: Path) -> None:
     largest = 0.0
     for _ in range(50):
         batch = {"obs": {name: torch.from_numpy(x) for name, x in seen.items()}}
-        mean = module.forward_inference(batch)["action_dist_inputs"][:, :4].numpy()
+        mean = module.forward_inference(batch)["action_dist_inputs"][
+            :, : config.action_size
+        ].numpy()
         assert module.compute_values(batch).shape == (8,)
         actions = policy.act(seen["obs"].reshape(4, 2, -1)).reshape(8, -1)
         np.testing.assert_allclose(actions, np.clip(mean, -1.0, 1.0), rtol=0.0, atol=1e-5)
@@ -91,8 +93,8 @@ def test_a_run_goes_on(trained: Path) -> None:
     """With the numbers it was left with, the optimiser's too, and in new worlds."""
     saved_facts, saved_arrays = checkpoint.load(trained / "checkpoint.safetensors")
     given = Options(output=trained, resume=True, steps=900, quiet=True)
-    options, saved, own = prepare(given)
-    own.release()
+    options, saved, folder = prepare(given)
+    folder.release()
     assert options.critic == "central" and options.runners == 0 and options.hidden == (16, 8)
     with cluster.joined(None, 1):
         run = Run(options, saved)
@@ -170,8 +172,8 @@ def test_a_full_disk_leaves_the_earlier_files(
         raise OSError(28, "No space left on device")
 
     before = {path.name: path.read_bytes() for path in trained.iterdir()}
-    monkeypatch.setattr("train.rllib_run.checkpoint.save", full)
-    monkeypatch.setattr("train.rllib_run.files.save", full)
+    monkeypatch.setattr("train.rllib.run.checkpoint.save", full)
+    monkeypatch.setattr("train.rllib.run.files.save", full)
     assert rllib.main(["--output", str(trained), "--resume", "--steps", "1", "--quiet"]) == 1
     error = capsys.readouterr().err.splitlines()[-1]
     assert error.endswith("No space left on device; earlier files are intact")

@@ -1,0 +1,170 @@
+"""Write `train/README.md`: `python -m train.cards`. Needs a checkout, and the `plot` extra for the pictures.
+
+The guide's text is `train/README.template.md`; its tables and pictures come from what is checked in: the
+learning curves in `train/curves/` and the policies in `baselines/policies/`. With the same versions the same
+files give the same bytes. What is checked in comes from
+
+    python -m train.cards --ship runs/x          the policy of a run, scored on seeds 0-99, and its curve
+    python -m train.cards --curve runs/y runs/z  the curves alone, of other seeds or of what failed
+    python -m train.cards --generalise           the policies of `nominal` on tasks they have not seen
+
+after which `python -m train.cards` writes the guide anew.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import NoReturn, final
+
+from baselines.system import console
+from baselines.reporting.cells import scored, signed
+from baselines.scoring.evaluation import EPISODES
+from baselines.system.writing import write_text
+from train.cards import guide, shipping
+
+PROGRAM = "train.cards"
+_CHECKOUT = Path(__file__).resolve().parents[2]
+
+
+@final
+class _Parser(argparse.ArgumentParser):
+    """Prints a wrong option as one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: error: {message}\n")
+
+
+def _threads(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and 1 <= int(text) <= 1024):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number from 1 to 1024")
+    return int(text)
+
+
+def _method(text: str) -> str:
+    if not (text.isascii() and text.replace("-", "").isalnum() and text[0].isalnum()):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected letters, digits and hyphens")
+    return text
+
+
+def _parser() -> _Parser:
+    parser = _Parser(
+        prog=PROGRAM,
+        description="Write train/README.md and its pictures from what is checked in, or check in a "
+        "run. Needs a checkout, and the plot extra for the pictures.",
+        allow_abbrev=False,
+    )
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument(
+        "--ship",
+        type=Path,
+        metavar="RUN",
+        help="folder of a run whose policy, scored on seeds 0 to 99, and learning curve are checked in",
+    )
+    what.add_argument(
+        "--curve",
+        type=Path,
+        nargs="+",
+        metavar="RUN",
+        help="folders of runs whose learning curves are checked in",
+    )
+    what.add_argument(
+        "--generalise",
+        action="store_true",
+        help="score the policies of nominal on tasks that they were not trained on; takes minutes",
+    )
+    add = parser.add_argument
+    add(
+        "--method",
+        type=_method,
+        help="name of the method, with --ship or --curve (default: the one in the policy's card)",
+    )
+    add("--threads", type=_threads, default=os.cpu_count() or 1, metavar="N",
+        help="number of threads that fly episodes (default: one for each core)")  # fmt: skip
+    add("--checkout", type=Path, default=_CHECKOUT, metavar="DIR",
+        help="folder of the checkout that is changed (default: the one this command comes from)")  # fmt: skip
+    return parser
+
+
+@console.command
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    try:
+        if options.method and not (options.ship or options.curve):
+            raise ValueError("argument --method: only with --ship or --curve")
+        _require_checkout(options.checkout)
+        return _do(options)
+    except ValueError as problem:
+        parser.error(str(problem))
+    except OSError as problem:
+        where = f"{problem.filename}: " if problem.filename else ""
+        reason = problem.strerror or problem
+        print(f"{PROGRAM}: error: {where}{reason}; earlier files are intact", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("interrupted: earlier files are intact", file=sys.stderr)
+        return 130
+
+
+def _require_checkout(folder: Path) -> None:
+    if not (folder / guide.TEMPLATE).is_file():
+        raise ValueError(f"{folder}: no {guide.TEMPLATE}: expected a checkout; see --checkout")
+
+
+def _do(options: argparse.Namespace) -> int:
+    """Carry out one of --ship, --curve, --generalise, or write the guide; the exit status."""
+    checkout: Path = options.checkout
+    if options.ship:
+        return _ship(options.ship, options.method, checkout, options.threads)
+    if options.curve:
+        runs = [shipping.open_run(folder, options.method) for folder in options.curve]
+        return _written(shipping.keep_curve(run.curve, checkout) for run in runs)
+    if options.generalise:
+        rows = shipping.transfers(checkout, options.threads)
+        path = checkout / shipping.GENERALISATION
+        path.parent.mkdir(exist_ok=True)
+        write_text(path, shipping.transfers_text(rows))
+        return _written([path])
+    return _guide(checkout)
+
+
+def _ship(
+    folder: Path, method: str | None, checkout: Path, threads: int, episodes: int = EPISODES
+) -> int:
+    """Score the policy of a run and check it in, with its curve."""
+    run = shipping.open_run(folder, method)
+    shipping.require_shippable(run)
+    result = shipping.scored(run, episodes, threads)
+    print(f"score {scored(result.score)}, return minus the expert's "
+          f"{signed(result.differences['return'])}, failures {result.failures}")  # fmt: skip
+    return _written(shipping.ship(run, result.score, checkout))
+
+
+def _guide(checkout: Path) -> int:
+    """Write the guide's text and pictures."""
+    if importlib.util.find_spec("matplotlib") is None:
+        raise ValueError('matplotlib is not installed: pip install "formation-env[plot]"')
+    from train.cards.pictures import draw
+
+    facts = guide.gather(checkout)
+    text = guide.readme(facts)
+    paths = []
+    for name, curves in guide.pictures(facts.curves).items():
+        paths.append(checkout / shipping.CURVES / name)
+        draw(curves, paths[-1])
+    write_text(checkout / guide.README, text)
+    for name in facts.stale:
+        print(f"{name}: not in the table of generalisation; run --generalise", file=sys.stderr)
+    return _written([*paths, checkout / guide.README])
+
+
+def _written(paths: Iterable[Path]) -> int:
+    for path in paths:
+        print(f"written: {path}")
+    return 0

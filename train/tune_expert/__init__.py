@@ -1,0 +1,62 @@
+"""Find gains for the paper's laws: `python -m train.tune_expert --scenario paper`.
+
+CMA-ES (pycma) searches the gains of the follower's planner and tracker for the largest mean return
+over training seeds, the same ones for every candidate; failures count by their returns. It starts from the
+configuration's own gains, and every candidate satisfies the paper's conditions
+(`train.tune_expert.gain_space`). The candidates with the largest returns, and the own gains, then fly
+validation seeds, and the best of those is the result. The leaderboard's seeds are not used.
+
+Results do not depend on the number of threads, and the same options give the same gains. The journal,
+`OUTPUT/SCENARIO-ACTION.json`, has the returns so far; after an interruption `--resume` repeats the search
+from it, without flying those candidates again.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+from baselines.system import console
+from train.command_line import read_options
+
+SCRIPT = "formation-tune-expert"
+
+
+def _refuse(message: object) -> NoReturn:
+    print(f"{SCRIPT}: error: {message}", file=sys.stderr)
+    raise SystemExit(2)
+
+
+@console.command
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
+    try:
+        import cma  # noqa: F401  # needed only after compiling, where its absence would be told late
+        import tyro  # noqa: F401
+    except ImportError as problem:
+        _refuse(f'{problem.name} is missing: pip install "formation-env[train]"')
+    from train.tune_expert.options import Options
+    from train.tune_expert.tuning import tune
+
+    options = read_options(Options, SCRIPT, arguments)
+    try:
+        best = tune(options)
+    except ValueError as problem:
+        _refuse(problem)
+    except OSError as problem:
+        print(f"{SCRIPT}: error: {problem}; earlier files are kept", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("interrupted: --resume goes on where the journal ends", file=sys.stderr)
+        return 130
+    score, gain = best.result.score, best.result.differences["return"]
+    console.say(
+        f"score {score.value:.3f} ({score.low:.3f} .. {score.high:.3f}) on validation seeds, "
+    )
+    console.say(
+        f"return {gain.value:+.4f} ({gain.low:+.4f} .. {gain.high:+.4f}) beside the expert's"
+    )
+    console.say(json.dumps(best.gains.document(), indent=1))
+    return 0

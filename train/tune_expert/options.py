@@ -1,0 +1,87 @@
+"""The options of `python -m train.tune_expert`."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import final
+
+from baselines.policies.tuned import FEEDFORWARDS
+from formation_env import FormationConfig, configure
+from formation_env.checks import integer, number, require
+from train.options import defaults, repeating_command
+from train.seeds import MOST_TUNING_EPISODES
+
+PROGRAM = "train.tune_expert"
+# Options that may differ where a search is continued.
+FREE_ON_RESUME = ("resume", "threads", "quiet", "output", "gains", "evaluations")
+
+
+@final
+@dataclass(frozen=True)
+class Options:
+    """Search gains for the paper's laws with CMA-ES, on seeds of its own.
+
+    Results do not depend on the number of threads.
+    """
+
+    scenario: str = "nominal"
+    """Name of the scenario that gains are searched for: nominal, paper, experiment, agile or swarm."""
+    action: str | None = None
+    """Action level: wrench, rates or reference; by default the scenario's own."""
+    feedforward: str = "both"
+    """How the third and fourth derivatives of the reference are taken: zero, derived, or both tried."""
+    episodes: int = 64
+    """Number of training episodes that every candidate flies, all on the same seeds."""
+    evaluations: int = 2000
+    """Number of candidates in all, half for each feedforward where both are tried."""
+    validation: int = 256
+    """Number of validation episodes, on which the best candidates are compared."""
+    finalists: int = 8
+    """Number of candidates of each feedforward that fly the validation episodes."""
+    spread: float = 0.5
+    """Standard deviation of the first candidates about the scenario's own gains, in the logarithm of a gain.
+    1 is a factor of e."""
+    seed: int = 1
+    """Seed of the random numbers that CMA-ES draws; episodes have seeds of their own."""
+    output: Path = field(default_factory=lambda: Path("runs/tune"))
+    """Folder for the journal, SCENARIO-ACTION.json; made if it is not there."""
+    gains: Path | None = None
+    """File of gains that the result is written into, such as baselines/tuned_gains.json; by default none."""
+    resume: bool = False
+    """Continue the search whose journal is in the output folder.
+    Only evaluations, gains, threads and quiet may differ from the options that it was begun with."""
+    threads: int = field(default_factory=lambda: os.cpu_count() or 1)
+    """Number of candidates that are flown at a time, one thread for each; by default one for each core."""
+    quiet: bool = False
+    """Print no progress bar while the search runs."""
+
+    def check(self) -> FormationConfig:
+        """The configuration searched. Raises `ValueError` naming the option that is wrong."""
+        config = configure(self.scenario)
+        if self.action is not None:
+            config = configure(self.scenario, action=self.action)
+        allowed = ("both", *FEEDFORWARDS)
+        known = self.feedforward in allowed
+        require(known, "feedforward", self.feedforward, f"one of {', '.join(allowed)}")
+        integer("episodes", self.episodes, 1, MOST_TUNING_EPISODES)
+        integer("evaluations", self.evaluations, 1, 10_000_000)
+        integer("validation", self.validation, 1, MOST_TUNING_EPISODES)
+        integer("finalists", self.finalists, 1, 1000)
+        number("spread", self.spread, 0.0)
+        integer("seed", self.seed, 0, 2**63)
+        integer("threads", self.threads, 1, 1024)
+        return config
+
+    def choices(self, config: FormationConfig) -> tuple[str, ...]:
+        """The feedforwards that are tried; at level `reference` the expert has none."""
+        if config.action == "reference":
+            return ("zero",)
+        return FEEDFORWARDS if self.feedforward == "both" else (self.feedforward,)
+
+    def command(self) -> str:
+        """The command that repeats the result, without the options that do not change it."""
+        return repeating_command(
+            PROGRAM, asdict(self), defaults(Options), ("resume", "threads", "quiet", "output")
+        )

@@ -1,0 +1,176 @@
+"""The search for gains: candidates flown by threads, the best ones compared on validation seeds."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import formation_env
+from baselines import make_policy
+from baselines.scoring.intervals import Estimate
+from baselines.policies.base import Policy
+from baselines.system.progress import compiling
+from baselines.scoring.rollout import fly_all
+from baselines.scoring.results import Result, judge
+from baselines.policies.tuned import VERSION, ExpertTuned, Gains, own, read
+from baselines.system.writing import claim, write_text
+from formation_env import FormationConfig
+from train.seeds import TUNING_SEEDS, TUNING_VALIDATION_SEEDS
+from train.tune_expert.gain_space import GainSpace
+from train.tune_expert.journal import Journal
+from train.tune_expert.options import Options
+from train.tune_expert.search import Candidate, Search, search
+
+_OVERFLOWED = -1e3  # the return of gains with which the law leaves the range of numbers
+
+
+def mean_return(policy: Policy, seeds: range) -> float:
+    """Mean return over the seeds; `_OVERFLOWED` where it is no number."""
+    try:
+        value = float(fly_all(policy, seeds)["return"].mean())
+    except ValueError as problem:
+        if "expected finite numbers" not in str(problem):
+            raise
+        return _OVERFLOWED  # the law overflowed and the simulation refused its action
+    return value if np.isfinite(value) else _OVERFLOWED
+
+
+# -- validation -----------------------------------------------------------------------------------
+
+
+class BestGains(NamedTuple):
+    """The gains with the largest mean return on the validation seeds, and their result there."""
+
+    gains: Gains
+    result: Result
+
+
+def validate(
+    config: FormationConfig, finalists: Sequence[Gains], seeds: range, pool: ThreadPoolExecutor
+) -> BestGains:
+    """The finalist with the largest mean return over the seeds, the first where equal."""
+    policies = [ExpertTuned(config, gains) for gains in finalists]
+    anchors = [make_policy(name, config) for name in ("hover", "expert")]
+    hover, expert, *columns = pool.map(lambda p: fly_all(p, seeds), [*anchors, *policies])
+    best = max(range(len(columns)), key=lambda i: columns[i]["return"].mean())
+    return BestGains(finalists[best], judge(columns[best], hover, expert))
+
+
+def _interval(e: Estimate) -> list[float | None]:
+    return [float(x) if np.isfinite(x) else None for x in (e.value, e.low, e.high)]
+
+
+def provenance(options: Options, best: BestGains) -> dict[str, Any]:
+    """How gains were found and their scores on the validation seeds, as a file of gains has it."""
+    result, validation = best.result, _validation_seeds(options)
+    return {
+        "command": options.command(),
+        "package": formation_env.__version__,
+        "seed": options.seed,
+        "training": [TUNING_SEEDS, TUNING_SEEDS + options.episodes - 1],
+        "validation": [validation.start, validation.stop - 1],
+        "score": _interval(result.score),
+        "return": _interval(result.summary["return"]),
+        "return_minus_expert": _interval(result.differences["return"]),
+        "failed": _interval(result.summary["failed"]),
+    }
+
+
+def write_gains(path: Path, scenario: str, action: str, entry: dict[str, Any]) -> None:
+    """Write an entry into a file of gains, which is made if it is not there."""
+    gains: dict[str, dict[str, Any]] = {}
+    if path.exists():
+        read(path)  # a broken file is refused, not overwritten
+        gains = json.loads(path.read_text(encoding="utf-8"))["gains"]
+    gains.setdefault(scenario, {})[action] = entry
+    document = {"version": VERSION, "gains": gains}
+    write_text(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
+
+
+def tune(options: Options) -> BestGains:
+    """The whole search. Raises `ValueError` for wrong options, before anything is written."""
+    config = options.check()
+    path = options.output / f"{config.scenario}-{config.action}.json"
+    if options.gains is not None and options.gains.exists():
+        read(options.gains)
+    if options.resume:
+        Journal(path, options, config).recorded()  # refused before a folder is made
+    with claim(options.output):
+        return _searched(options, config, Journal(path, options, config), path)
+
+
+def _searched(options: Options, config: FormationConfig, journal: Journal, path: Path) -> BestGains:
+    """The search, in a folder that no other run writes into: its journal and its entry in a file of gains."""
+    recorded = journal.recorded() if options.resume else {}
+    if path.exists() and not options.resume:
+        raise ValueError(f"{path} exists: expected --resume to go on with it, or another --output")
+    best = _run(options, config, journal, recorded)
+    entry = {**best.gains.document(), "made": provenance(options, best)}
+    journal.write(entry)
+    if options.gains is not None:
+        write_gains(options.gains, config.scenario, config.action, entry)
+    return best
+
+
+def _run(
+    options: Options, config: FormationConfig, journal: Journal, recorded: dict[str, list[float]]
+) -> BestGains:
+    """Fly and validate candidates; the journal is written, whatever ends the search."""
+    from tqdm import tqdm
+
+    space, choices = GainSpace(config), options.choices(config)
+    seeds = range(TUNING_SEEDS, TUNING_SEEDS + options.episodes)
+    share = max(1, options.evaluations // len(choices))
+    # Before the threads start, since the first flight compiles; and the own gains have to fly.
+    with compiling(options.quiet):
+        hover = mean_return(make_policy("hover", config), seeds)
+        own_return = mean_return(make_policy("expert", config), seeds)
+    with (
+        ThreadPoolExecutor(options.threads, thread_name_prefix="tune") as pool,
+        tqdm(total=share * len(choices), disable=options.quiet, unit=" candidates") as bar,
+    ):
+
+        def mean_returns(candidates: Sequence[Gains]) -> list[float]:
+            # Made here, not in the threads: silencing warnings, as `configure` does, is not thread-safe.
+            policies = [ExpertTuned(config, gains) for gains in candidates]
+            return list(pool.map(lambda policy: mean_return(policy, seeds), policies))
+
+        def on_generation(feedforward: str, generation: Sequence[Candidate]) -> None:
+            journal.add(feedforward, generation)
+            bar.update(len(generation))
+            best = journal.best(feedforward, 1)[0].value
+            score = (best - hover) / (own_return - hover) if own_return != hover else float("nan")
+            bar.set_description_str(f"{feedforward}: score {score:.3f}", refresh=False)
+
+        try:
+            for choice in choices:
+                settings = Search(space, mean_returns, on_generation, options.spread, options.seed)
+                search(settings, choice, share, recorded.get(choice, ()))
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            if journal.candidates:
+                journal.write(None)
+            raise
+        return validate(
+            config, _finalists(options, config, journal), _validation_seeds(options), pool
+        )
+
+
+def _validation_seeds(options: Options) -> range:
+    return range(TUNING_VALIDATION_SEEDS, TUNING_VALIDATION_SEEDS + options.validation)
+
+
+def _finalists(options: Options, config: FormationConfig, journal: Journal) -> list[Gains]:
+    """The configuration's own gains, then those with the largest returns on the training seeds."""
+    space = GainSpace(config)
+    best = [
+        space.gains(np.array(c.x), c.feedforward)
+        for choice in options.choices(config)
+        for c in journal.best(choice, options.finalists)
+    ]
+    return [own(config), *best]
