@@ -133,5 +133,5 @@ WORLDS = [
     Mutant("rng", "r * (cosine + sine), y)", "r * (cosine - sine), y)"),
     Mutant("rng", "as_single(a), as_single(c)", "as_single(a), as_single(b)"),
     Mutant("rng", "normal_pair(as_single(b), as_single(d))",
-           "normal_pair(as_single(d), as_single(b))"),
+           "normal_pair(as_single(b), as_single(c))"),
 ]  # fmt: skip

@@ -34,9 +34,11 @@ class Quick:
         settings.load_profile("quick")
 
 code = pytest.main(["-x", "-q", "-p", "no:cacheprovider", *sys.argv[1:]], plugins=[Quick()])
-sys.exit({0: 40, 1: 41}.get(code, code))
+sys.exit({0: 40, 1: 41, 2: 42}.get(code, code))
 """
-PASSED, FAILED = 40, 41  # distinct from the status of a run that never came to testing
+# Distinct from the status of a run that never came to testing. A mutant whose package refuses to be
+# imported, as by a default that breaks a condition, is killed too.
+PASSED, FAILED, REFUSED = 40, 41, 42
 # A mutant that makes a loop blow up can stall SciPy's solver: after so many times what the tests take
 # without any mutant, and this many seconds more, it counts as killed.
 TIMES, MORE = 5.0, 30.0
@@ -115,7 +117,8 @@ def tests_pass(module: str, mutant: Mutant | None, patience: float | None) -> bo
             )
         except subprocess.TimeoutExpired:
             return False
-    if result.returncode not in (PASSED, FAILED):
+    known = (PASSED, FAILED) if mutant is None else (PASSED, FAILED, REFUSED)
+    if result.returncode not in known:
         raise RuntimeError(f"{mutant or module}\n{result.stdout}{result.stderr}")
     return result.returncode == PASSED
 
@@ -130,8 +133,15 @@ def time_alone(module: str) -> float:
 def main(mutants: Sequence[Mutant], argv: Sequence[str] | None = None) -> int:
     """The command: 0 if every mutant is killed, 1 if some survive, 2 if the list does not fit."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--jobs", type=int, default=2, help="mutants tried at the same time (2)")
-    parser.add_argument("--only", nargs="+", help="names of modules (all)", metavar="MODULE")
+    parser.add_argument(
+        "--jobs", type=int, default=2, help="Mutants tried at the same time. (default: 2)"
+    )
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        metavar="MODULE",
+        help="Modules whose mutants are tried. (default: all)",
+    )
     options = parser.parse_args(argv)
     chosen = [m for m in mutants if options.only is None or m.module in options.only]
     problems = misfits(chosen) or ([] if chosen else [f"no mutants of {options.only}"])

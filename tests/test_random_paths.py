@@ -6,14 +6,14 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from closed_loop import PROPERTY, Array
+from closed_loop import PROPERTY, Array, agree
 from hypothesis import given
 from paths import keys, random_ones
 from scipy import stats
 
 from formation_env import random_paths, trajectories
 from formation_env.random_paths import FASTEST, RandomSmooth
-from formation_env.trajectories import Trajectory
+from formation_env.trajectories import Trajectory, path_start
 
 BOUNDS = RandomSmooth(1.5, 0.75, 1.0, 1.5, 0.5, 3)
 
@@ -53,6 +53,15 @@ def test_either_the_speed_or_the_acceleration_is_at_its_bound(curve: Trajectory,
     if amplitude[2].sum() < 0.5 * bounds.climb * (1.0 - 1e-9) and bounds.variation > 1e-3:
         shares = np.divide(reach, (bounds.variation, bounds.acceleration))
         assert shares.max() == pytest.approx(1.0, rel=1e-9)
+
+
+@PROPERTY
+@given(random_ones(), keys)
+def test_before_a_draw_the_table_holds_where_every_draw_starts(curve: Trajectory, key: int) -> None:
+    assert curve.random is not None
+    start = (0.0, 0.0, -curve.random.height)
+    assert path_start(curve.kind, curve.table) == (1.0, start)
+    agree(path_start(curve.kind, curve.drawn(key).table)[1], start, 1e-9)
 
 
 def test_derived_bounds() -> None:

@@ -73,6 +73,14 @@ def test_the_reach_of_a_power_is_reached_at_the_end_of_its_piece() -> None:
         np.testing.assert_allclose(tables.reach(SPLINE, longer), expected)
 
 
+def test_the_reach_of_a_spline_is_a_norm_over_the_axes() -> None:
+    """`(2, 3, 6) t`: at most `7 t` away, at 7 m/s."""
+    table = np.zeros(3 + 24)
+    table[0], table[2] = 1.0, 5.0
+    table[[4, 12, 20]] = 2.0, 3.0, 6.0
+    np.testing.assert_allclose(tables.reach(SPLINE, table), [35.0, 7.0, 0.0, 0.0, 0.0])
+
+
 def test_a_path_beyond_the_largest_numbers_is_refused() -> None:
     table = trajectories.hover().table.copy()
     table[7:9] = 1e3, 1e3
