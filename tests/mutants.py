@@ -3,7 +3,8 @@
     python tests/mutants.py [--jobs 2] [--only MODULE ...]
 
 Prints a verdict for each mutant; the exit status is 1 if any survives, 2 if one no longer fits the
-sources. `mutation` applies them; other lists are in `mutants_of_worlds` and `mutants_of_paths`.
+sources or a module's tests fail without any. `mutation` applies them; other lists are in
+`mutants_of_worlds` and `mutants_of_paths`.
 """
 
 from __future__ import annotations

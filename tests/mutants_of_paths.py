@@ -139,4 +139,18 @@ PATHS = [
     Mutant("feasibility", "headings.real - d_y / d_x * headings.imag",
            "headings.real + d_y / d_x * headings.imag"),
     Mutant("feasibility", "out[n] = R * v[i].conjugate() / speed", "out[n] = R * v[i] / speed"),
+    # Formations: where each helper puts the followers, rigidity, the least distance.
+    Mutant("formations", "(1.0 - 2.0 * side)", "(1.0 + 2.0 * side)"),
+    Mutant("formations", "below - spacing * level", "below + spacing * level"),
+    Mutant("formations", "rank = 1.0 + np.arange(n) // 2", "rank = 2.0 + np.arange(n) // 2"),
+    Mutant("formations", "rank * spacing * cos(angle), across", "rank * spacing * sin(angle), across"),
+    Mutant("formations", "spacing * (1.0 + np.arange(n))", "spacing * (2.0 + np.arange(n))"),
+    Mutant("formations", "ahead + spacing * row, across", "ahead - spacing * row, across"),
+    Mutant("formations", "row - 0.5 * row[-1]", "row + 0.5 * row[-1]"),
+    Mutant("formations", "down = below - radius * np.sin", "down = below - radius * np.cos"),
+    Mutant("formations", "ahead > radius,", "ahead >= radius,"),
+    Mutant("formations", "(d[:, 0] == d[0, 0])", "(d[:, 1] == d[0, 1])"),
+    Mutant("formations", "np.vstack([_rows(offsets), np.zeros(3)])", "np.vstack([_rows(offsets)])"),
+    Mutant("formations", "right, np.negative(below)]", "right, below]"),
+    Mutant("formations", "0.5 * (n - 1) - np.arange", "0.5 * n - np.arange"),
 ]  # fmt: skip

@@ -130,43 +130,48 @@ def time_alone(module: str) -> float:
     return time.perf_counter() - started if passed else float("inf")
 
 
-def main(mutants: Sequence[Mutant], argv: Sequence[str] | None = None) -> int:
-    """The command: 0 if every mutant is killed, 1 if some survive, 2 if the list does not fit."""
+def arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    """The command's options."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "--jobs", type=int, default=2, help="Mutants tried at the same time. (default: 2)"
-    )
-    parser.add_argument(
-        "--only",
-        nargs="+",
-        metavar="MODULE",
-        help="Modules whose mutants are tried. (default: all)",
-    )
-    options = parser.parse_args(argv)
+    text = "Mutants tried at the same time. (default: 2)"
+    parser.add_argument("--jobs", type=int, default=2, help=text)
+    text = "Modules whose mutants are tried. (default: all)"
+    parser.add_argument("--only", nargs="+", metavar="MODULE", help=text)
+    return parser.parse_args(argv)
+
+
+def try_all(mutants: Sequence[Mutant], jobs: int) -> tuple[list[Mutant], list[str]]:
+    """The mutants that survive, and the modules whose own tests fail without any mutant."""
+    with ThreadPoolExecutor(jobs) as pool:
+        modules = sorted({m.module for m in mutants})
+        alone = dict(zip(modules, pool.map(time_alone, modules), strict=True))
+        broken = [module for module in modules if alone[module] == float("inf")]
+        for module in broken:
+            print(f"the tests of {module} fail without any mutant: its mutants are left out")
+        tried = [m for m in mutants if m.module not in broken]
+
+        def survives(mutant: Mutant) -> bool:
+            return tests_pass(mutant.module, mutant, TIMES * alone[mutant.module] + MORE)
+
+        alive = []
+        for mutant, survived in zip(tried, pool.map(survives, tried), strict=True):
+            alive += [mutant] if survived else []
+            print(f"{'SURVIVED' if survived else 'killed':9} {mutant}", flush=True)
+    print(f"{len(tried) - len(alive)} of {len(mutants)} mutants killed", end=" ")
+    return alive, broken
+
+
+def main(mutants: Sequence[Mutant], argv: Sequence[str] | None = None) -> int:
+    """The command: 0 if every mutant is killed, 1 if some survive, 2 if not all could be tried."""
+    options = arguments(argv)
     chosen = [m for m in mutants if options.only is None or m.module in options.only]
     problems = misfits(chosen) or ([] if chosen else [f"no mutants of {options.only}"])
     if problems:
         print("\n".join(problems))
         return 2
     started = time.perf_counter()
-    with ThreadPoolExecutor(options.jobs) as pool:
-        modules = sorted({m.module for m in chosen})
-        alone = dict(zip(modules, pool.map(time_alone, modules), strict=True))
-        for module, seconds in alone.items():
-            if seconds == float("inf"):
-                print(f"the tests of {module} fail without any mutant")
-                return 2
-
-        def survives(mutant: Mutant) -> bool:
-            patience = TIMES * alone[mutant.module] + MORE
-            return tests_pass(mutant.module, mutant, patience)
-
-        alive = []
-        for mutant, survived in zip(chosen, pool.map(survives, chosen), strict=True):
-            alive += [mutant] if survived else []
-            print(f"{'SURVIVED' if survived else 'killed':9} {mutant}", flush=True)
-    print(f"{len(chosen) - len(alive)} of {len(chosen)} mutants killed", end=" ")
+    alive, broken = try_all(chosen, options.jobs)
     print(f"in {time.perf_counter() - started:.0f} s, {options.jobs} at a time")
     for mutant in alive:
         print(f"SURVIVED  {mutant}")
-    return 1 if alive else 0
+    return 2 if broken else 1 if alive else 0

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import pdist
 
 from formation_env import feasibility, formations, slots, trajectories
+from formation_env._jit import plain
 from formation_env.checks import LONGEST
 from formation_env.placement import MAX_FOLLOWERS
 from formation_env.references import Floats
@@ -79,8 +80,8 @@ def test_rigid_formations_keep_their_distances_on_a_curve(name: str) -> None:
     for offset in d:
         R, path = v[0] / abs(v[0]), []
         for p, v0, v1 in zip(motion[:-1, 0], v[:-1], v[1:], strict=True):
-            path.append(slots.slot.py_func(R, tuple(p), (v0.real, v0.imag, 0.0), tuple(offset)).p)
-            R = slots.advance_heading.py_func(R, v0, v1, offset[0], h)
+            path.append(plain(slots.slot)(R, tuple(p), (v0.real, v0.imag, 0.0), tuple(offset)).p)
+            R = plain(slots.advance_heading)(R, v0, v1, offset[0], h)
         spread.append(path)
     where = np.array(spread)
     between = np.array([pdist(where[:, k]) for k in range(0, where.shape[1], 50)])
