@@ -101,7 +101,7 @@ PATHS = [
     Mutant("tables", "bool(most <= LARGEST)", "bool(most <= 100.0 * LARGEST)"),
     # Splines: what is interpolated, from rest to rest, and what is refused.
     Mutant("splines", "for order in (1, 2, 3)]", "for order in (1, 2, 4)]"),
-    Mutant("splines", "[:, 1:4] = 0.0", "[:, 2:4] = 0.0"),
+    Mutant("splines", "[:, 1:4] = 0.0", "[:, 1:5] = 0.0"),
     Mutant("splines", "/ factorial(k)", "/ factorial(k + 1)"),
     Mutant("splines", "spline(breaks[:-1], nu=k)", "spline(breaks[1:], nu=k)"),
     Mutant("splines", "pieces[..., 0] += p[0]", "pieces[..., 0] -= p[0]"),

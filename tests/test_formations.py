@@ -106,6 +106,18 @@ def test_line(n: int, spacing: float, ahead: float, below: float) -> None:
 
 
 @PROPERTY
+@given(counts, st.floats(0.1, 5.0), st.floats(0.1, 5.0), st.floats(-2.0, 2.0))
+def test_stack(n: int, spacing: float, ahead: float, below: float) -> None:
+    """Pairs abreast, each pair `spacing` m above the last; the first `below` the leader."""
+    d = formations.stack(n, spacing, ahead, below)
+    for i, (d_x, d_y, d_z) in enumerate(d):
+        assert (d_x, d_y) == (ahead, 0.5 * spacing if i % 2 == 0 else -0.5 * spacing)
+        # The leader is below by `d_z`, z points down: a pair higher up sees it lower.
+        assert d_z == pytest.approx(spacing * (i // 2) - below)
+    np.testing.assert_allclose(formations.stack(2), formations.paper_pair())
+
+
+@PROPERTY
 @given(counts, st.floats(0.1, 5.0), st.floats(0.1, 1.4), st.floats(-2.0, 2.0))
 def test_wedge(n: int, spacing: float, half_angle: float, below: float) -> None:
     d = formations.wedge(n, spacing, half_angle, below)
