@@ -1,50 +1,19 @@
 """Break the laws by one symbol at a time and see whether the tests notice.
 
-    python tests/mutants.py [--jobs 2] [--only NAME]
+    python tests/mutants.py [--jobs 2] [--only MODULE ...]
 
-Each mutant is applied to a copy of the package in a temporary folder, where the module's own test
-file runs with the compiler off. Prints a table; the exit status is 1 if any mutant survives.
+Prints a verdict for each mutant; the exit status is 1 if any survives, 2 if one no longer fits the
+sources or a module's tests fail without any. `mutation` applies them; other lists are in
+`mutants_of_worlds` and `mutants_of_paths`.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
-import shutil
-import subprocess
 import sys
-import tempfile
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
-from pathlib import Path
-from typing import NamedTuple
 
-ROOT = Path(__file__).resolve().parent.parent
-
-# Hypothesis without shrinking: here only whether a test fails counts, not how.
-RUN = """
-import sys, pytest
-
-class Quick:
-    def pytest_sessionstart(self):
-        from hypothesis import Phase, settings
-        settings.register_profile("quick", settings(), phases=(Phase.explicit, Phase.generate))
-        settings.load_profile("quick")
-
-code = pytest.main(["-x", "-q", "-p", "no:cacheprovider", *sys.argv[1:]], plugins=[Quick()])
-sys.exit({0: 40, 1: 41}.get(code, code))
-"""
-PATIENCE = 120  # s; the tests of one module take 5. A loop that blows up can stall SciPy's solver.
-PASSED, FAILED = 40, 41  # distinct from the status of a run that never came to testing
-
-
-class Mutant(NamedTuple):
-    """One change: `old`, found exactly once in `formation_env/<module>.py`, becomes `new`."""
-
-    module: str
-    old: str
-    new: str
-
+from mutants_of_paths import PATHS
+from mutants_of_worlds import WORLDS
+from mutation import Mutant, main
 
 MUTANTS = [
     # The planner: errors (7), (11), the law (21), the height (33)-(34), the start, the step.
@@ -184,69 +153,35 @@ MUTANTS = [
     Mutant("lanes", "pick_vector(on, moved.p, guide.p)", "pick_vector(on, guide.p, moved.p)"),
     Mutant("lanes", "guided((m * a[0], m * a[1]", "guided((a[0], m * a[1]"),
     Mutant("lanes", "_follow(own, ref, command, lane, RATES", "_follow(own, ref, command, lane, MOMENT"),
+    # The gains: the conditions of theorems 1 and 2, (53)-(59).
+    Mutant("gains", 'low = 1.0 if f.name == "k2"', 'low = 0.9 if f.name == "k2"'),
+    Mutant("gains", "p12 * p12 < self.p11 * p22", "p12 * p12 < 2.0 * self.p11 * p22"),
+    Mutant("gains", "steepest = self.sigma_max / sqrt(self.c)",
+           "steepest = self.sigma_max / self.c"),
+    Mutant("gains", "flat = (k2 - p12) * p12 * k1", "flat = (k2 + p12) * p12 * k1"),
+    Mutant("gains", "0.25 * (k1 * p11 + k2 * p12) ** 2", "0.5 * (k1 * p11 + k2 * p12) ** 2"),
+    Mutant("gains", "self.p11 * self.k1 / self.k2", "self.p11 * self.k2 / self.k1"),
+    # Functions that the compiler can vectorise: logarithm, sine and cosine, tanh.
+    Mutant("elementary", "Single(0.33333670610) * f", "Single(0.33333370610) * f"),
+    Mutant("elementary", "e * Single(0.69314718056)", "e * Single(0.69314618056)"),
+    Mutant("elementary", "Single(-0.16666664662) + z", "Single(-0.16666464662) + z"),
+    Mutant("elementary", "Single(0.04166665064) * z", "Single(0.04166465064) * z"),
+    Mutant("elementary", "8.33333333332248946124e-03", "8.33333333232248946124e-03"),
+    Mutant("elementary", "-1.38888888888741095749e-03", "-1.38888887888741095749e-03"),
+    Mutant("elementary", "odd = (quarter == 1.0) |", "odd = (quarter == 0.0) |"),
+    Mutant("elementary", "pick(quarter >= 2.0, -a, a)", "pick(quarter > 2.0, -a, a)"),
+    Mutant("elementary", "- n * _HALF_PI_LOW", "+ n * _HALF_PI_LOW"),
+    Mutant("elementary", "return complex(c, s)", "return complex(s, c)"),
+    Mutant("elementary", "- n * _LOG_2_LOW", "+ n * _LOG_2_LOW"),
+    Mutant("elementary", "4.166666666662399e-02", "4.166666676662399e-02"),
+    Mutant("elementary", "less_one + (power - 1.0)", "less_one + (power + 1.0)"),
+    Mutant("elementary", "t = -m / (m + 2.0)", "t = -m / (m - 2.0)"),
+    Mutant("elementary", "size > 20.0, 20.0", "size > 2.0, 20.0"),
+    Mutant("elementary", "pick(x < 0.0, -t, t)", "pick(x < 0.0, t, t)"),
+    *WORLDS,
+    *PATHS,
 ]  # fmt: skip
 
 
-def apply(mutant: Mutant, root: Path = ROOT) -> str:
-    """The mutated source; `ValueError` unless `old` occurs exactly once."""
-    source = (root / "formation_env" / f"{mutant.module}.py").read_text()
-    found = source.count(mutant.old)
-    if found != 1:
-        raise ValueError(f"{mutant.module}: {mutant.old!r} occurs {found} times")
-    return source.replace(mutant.old, mutant.new)
-
-
-def tests_pass(module: str, mutant: Mutant | None) -> bool:
-    """Run the tests that watch `module` on a copy of the package, mutated or not."""
-    with tempfile.TemporaryDirectory() as folder:
-        for name in ("formation_env", "tests"):
-            ignore = shutil.ignore_patterns("__pycache__", ".*")
-            shutil.copytree(ROOT / name, Path(folder, name), ignore=ignore)
-        shutil.copy(ROOT / "pyproject.toml", folder)
-        if mutant is not None:
-            Path(folder, "formation_env", f"{module}.py").write_text(apply(mutant))
-        try:
-            result = subprocess.run(
-                [sys.executable, "-B", "-c", RUN, f"tests/test_{module}.py"],
-                cwd=folder,
-                env=os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": folder},
-                capture_output=True,
-                text=True,
-                check=False,
-                timeout=PATIENCE,
-            )
-        except subprocess.TimeoutExpired:
-            return False
-    if result.returncode not in (PASSED, FAILED):
-        raise RuntimeError(result.stdout + result.stderr)
-    return result.returncode == PASSED
-
-
-def survives(mutant: Mutant) -> bool:
-    return tests_pass(mutant.module, mutant)
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--jobs", type=int, default=2, help="mutants tried at the same time")
-    parser.add_argument("--only", default="", help="a module's name")
-    options = parser.parse_args()
-    chosen = [m for m in MUTANTS if options.only in ("", m.module)]
-    with ThreadPoolExecutor(options.jobs) as pool:
-        modules = sorted({m.module for m in chosen})
-        sound_alone = partial(tests_pass, mutant=None)
-        for module, sound in zip(modules, pool.map(sound_alone, modules), strict=True):
-            if not sound:
-                print(f"the tests of {module} fail without any mutant")
-                return 2
-        alive = 0
-        for mutant, survived in zip(chosen, pool.map(survives, chosen), strict=True):
-            alive += survived
-            verdict = "SURVIVED" if survived else "killed"
-            print(f"{verdict:9} {mutant.module:12} {mutant.old}  ->  {mutant.new}", flush=True)
-    print(f"{len(chosen) - alive} of {len(chosen)} mutants killed")
-    return 1 if alive else 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(MUTANTS))

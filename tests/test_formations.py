@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import pdist
 
 from formation_env import feasibility, formations, slots, trajectories
+from formation_env._jit import plain
 from formation_env.checks import LONGEST
 from formation_env.placement import MAX_FOLLOWERS
 from formation_env.references import Floats
@@ -79,8 +80,8 @@ def test_rigid_formations_keep_their_distances_on_a_curve(name: str) -> None:
     for offset in d:
         R, path = v[0] / abs(v[0]), []
         for p, v0, v1 in zip(motion[:-1, 0], v[:-1], v[1:], strict=True):
-            path.append(slots.slot.py_func(R, tuple(p), (v0.real, v0.imag, 0.0), tuple(offset)).p)
-            R = slots.advance_heading.py_func(R, v0, v1, offset[0], h)
+            path.append(plain(slots.slot)(R, tuple(p), (v0.real, v0.imag, 0.0), tuple(offset)).p)
+            R = plain(slots.advance_heading)(R, v0, v1, offset[0], h)
         spread.append(path)
     where = np.array(spread)
     between = np.array([pdist(where[:, k]) for k in range(0, where.shape[1], 50)])
@@ -102,6 +103,18 @@ def test_line(n: int, spacing: float, ahead: float, below: float) -> None:
     assert (d[:, 0] == ahead).all() and (d[:, 2] == -below).all()
     np.testing.assert_allclose(np.diff(d[:, 1]), -spacing, rtol=1e-9)
     np.testing.assert_allclose(d[:, 1] + d[::-1, 1], 0.0, atol=1e-9)
+
+
+@PROPERTY
+@given(counts, st.floats(0.1, 5.0), st.floats(0.1, 5.0), st.floats(-2.0, 2.0))
+def test_stack(n: int, spacing: float, ahead: float, below: float) -> None:
+    """Pairs abreast, each pair `spacing` m above the last; the first `below` the leader."""
+    d = formations.stack(n, spacing, ahead, below)
+    for i, (d_x, d_y, d_z) in enumerate(d):
+        assert (d_x, d_y) == (ahead, 0.5 * spacing if i % 2 == 0 else -0.5 * spacing)
+        # The leader is below by `d_z`, z points down: a pair higher up sees it lower.
+        assert d_z == pytest.approx(spacing * (i // 2) - below)
+    np.testing.assert_allclose(formations.stack(2), formations.paper_pair())
 
 
 @PROPERTY

@@ -212,6 +212,7 @@ def test_lanes_may_meet_the_floor_each_for_itself() -> None:
         assert lanes.doubtful_by_rates(*rest, 0.005, frame) == expected
 
 
+@pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")  # without the compiler
 @pytest.mark.parametrize("row", [0, 3, 9, 13])
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e200])
 def test_what_cannot_be_computed_is_noted_as_an_infinite_speed(row: int, value: float) -> None:

@@ -95,3 +95,11 @@ def test_no_two_uses_share_a_number(vary: str) -> None:
 
 def test_high_word_of_the_key_counts() -> None:
     assert rng.uniforms(5, 0, 0, 0, 0) != rng.uniforms(5 + 2**40, 0, 0, 0, 0)
+
+
+def test_ticks_and_blocks_beyond_32_bits_share_no_number() -> None:
+    """`when` counts up to 2^56 and `block` up to 2^8, side by side: each pair draws its own words."""
+    pairs = [(low + (high << 32), block) for low in (0, 5) for high in (0, 1, 2, 2**24 - 1)
+             for block in (0, 1, 2, 255)]  # fmt: skip
+    drawn = {tuple(int(x) for x in rng.words(7, rng.GUST, 3, *pair)) for pair in pairs}
+    assert len(drawn) == len(pairs)

@@ -1,0 +1,254 @@
+"""The laws of one vehicle at one instant, each alone, against mechanics and the paper's theorems."""
+
+from __future__ import annotations
+
+from math import exp
+
+import numpy as np
+import pytest
+from closed_loop import (
+    PROPERTY,
+    Array,
+    Sines,
+    agree,
+    hat,
+    numbers,
+    quaternions,
+    rate,
+    vector,
+    vectors,
+)
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+from scipy.spatial.transform import Rotation
+
+from formation_env import Vehicle, configure, quadrotor, so3, tracker, world
+from formation_env.quadrotor import GRAVITY, MOMENT, RATES, Body, Wrench
+from formation_env.sensors import Measured
+from formation_env.slots import Slot
+from formation_env.so3 import Quaternion, Vector
+from formation_env.trajectories import Reference
+from formation_env.world import Clock, Guide, Gusts, Reach, World
+
+# No two numbers alike and none special, so that none can stand for another.
+FRAME = Vehicle(mass=0.13, inertia=(1.1e-3, 0.9e-3, 1.7e-3), rate_lag=0.07).airframe()
+WORLD: World = configure().world._replace(
+    airframe=FRAME,
+    tracker=configure().tracker.law()._replace(k3=4.0, k4=0.9),
+    rates_tracker=configure().rates_tracker.law(),
+    reach=Reach(2.9, (0.05, 0.04, 0.02), (4.0, 3.0, 2.0)),
+    start_offset=0.4,
+)
+ACTIONS = st.tuples(*[numbers(1.0)] * 4)
+SEEDS = st.integers(0, 20)
+
+
+def matrix(q: Quaternion) -> Array:
+    return np.asarray(Rotation.from_quat([q[1], q[2], q[3], q[0]]).as_matrix())
+
+
+def turned(angle: float, a: Vector) -> Array:
+    """`R a` with the rotation (1) in the plane, height unchanged."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ a
+
+
+# -- what an action asks for ----------------------------------------------------------------------------
+
+
+@PROPERTY
+@given(ACTIONS)
+def test_a_driven_action_spans_what_the_actuators_reach(action: world.Action) -> None:
+    """-1 is no thrust, 0 half of it and +1 all, in proportion; turns are in proportion too."""
+    found = world.driven(action, WORLD)
+    agree(found.thrust, np.interp(action[0], [-1.0, 0.0, 1.0], [0.0, 1.45, 2.9]), 1e-14)
+    agree(found.turn, np.diag([0.05, 0.04, 0.02]) @ action[1:], 1e-15)
+
+
+@PROPERTY
+@given(ACTIONS, vectors(3.0), vectors(3.0), numbers(3.0))
+def test_a_guided_action_accelerates_in_the_formation_frame(
+    action: world.Action, p: Vector, v: Vector, heading: float
+) -> None:
+    R = complex(np.cos(heading), np.sin(heading))
+    ref = world.guided(action, Guide(p, v), R, WORLD)
+    assert (ref.p, ref.v) == (p, v)
+    agree(ref.a, turned(heading, vector(np.diag([4.0, 3.0, 2.0]) @ action[:3])), 1e-14)
+    assert ref.j == ref.s == so3.ZERO
+
+
+@PROPERTY
+@given(vectors(3.0), vectors(3.0), vectors(4.0), st.floats(0.01, 2.0))
+def test_a_guide_falls_as_a_stone_does(p: Vector, v: Vector, a: Vector, h: float) -> None:
+    """Under a constant acceleration its energy `|v|^2 / 2 - a . p` stays, and `v` grows by `h a`."""
+    after = world.guide_on(Guide(p, v), a, h)
+    agree(np.subtract(after.v, v), h * np.array(a), 1e-13)
+    for axis in range(3):
+        before = 0.5 * v[axis] ** 2 - a[axis] * p[axis]
+        agree(0.5 * after.v[axis] ** 2 - a[axis] * after.p[axis], before, 1e-12)
+
+
+@PROPERTY
+@given(vectors(3.0), vectors(3.0), vectors(4.0), st.floats(0.01, 2.0), st.floats(0.01, 2.0))
+def test_two_steps_of_a_guide_are_one(p: Vector, v: Vector, a: Vector, h: float, k: float) -> None:
+    twice = world.guide_on(world.guide_on(Guide(p, v), a, h), a, k)
+    once = world.guide_on(Guide(p, v), a, h + k)
+    agree([*twice.p, *twice.v], [*once.p, *once.v], 1e-13)
+
+
+# -- the tracker at its actuators -----------------------------------------------------------------------
+
+STATES = st.tuples(vectors(4.0), vectors(2.0), quaternions(), vectors(2.0))
+
+
+@PROPERTY
+@given(STATES)
+def test_motion_holds_the_rotation_matrix(x: tuple[Vector, Vector, Quaternion, Vector]) -> None:
+    p, v, q, w = x
+    m = world.motion(Measured(p, v, (9.0, 9.0, 9.0), q, w))
+    assert (m.p, m.v, m.w) == (p, v, w)
+    agree(np.array(m.R).T, matrix(q), 1e-13)
+
+
+@PROPERTY
+@given(STATES, SEEDS)
+def test_a_moment_brings_about_the_torque(
+    x: tuple[Vector, Vector, Quaternion, Vector], seed: int
+) -> None:
+    """(46) cancels the gyroscopic moment of (44): `omega_dot` is the tracker's (67)."""
+    m = world.motion(Measured(x[0], x[1], so3.ZERO, x[2], x[3]))
+    ref = Reference(*Sines(seed).at(0.3))
+    command = world.track(m, ref, MOMENT, WORLD)
+    wanted = tracker.torque(m, ref, FRAME.mass, WORLD.tracker)
+    assert command.thrust == wanted.thrust
+    J, w = np.diag(FRAME.inertia), np.array(m.w)
+    w_dot = np.linalg.solve(J, np.array(command.turn) - hat(w) @ J @ w)
+    agree(w_dot, wanted.tau, 1e-10)
+
+
+@PROPERTY
+@given(STATES, SEEDS)
+def test_a_rate_command_drives_e4_to_zero_through_the_lag(
+    x: tuple[Vector, Vector, Quaternion, Vector], seed: int
+) -> None:
+    """With the rates' own gains and the vehicle's lag: `e4_dot = -e4 / rate_lag` (65)."""
+    leader, law = Sines(seed), WORLD.rates_tracker
+    start = np.array([*x[0], *x[1], *x[2], *x[3], 0.3])
+
+    def at(y: Array) -> tuple[tracker.Motion, Reference]:
+        q = so3.normalise(vector(y[6:10]))
+        m = Measured(vector(y[:3]), vector(y[3:6]), so3.ZERO, q, vector(y[10:13]))
+        return world.motion(m), Reference(*leader.at(y[13]))
+
+    command = world.track(*at(start), RATES, WORLD)
+    body = Body(x[0], x[1], x[2], x[3])
+    x_dot = quadrotor.derivative(body, command, so3.ZERO, RATES, FRAME)
+    flow = np.array([*x_dot.p, *x_dot.v, *x_dot.q, *x_dot.w, 1.0])
+
+    def e4(y: Array) -> Array:
+        return np.array(tracker.errors(*at(y), law).e4)
+
+    agree(rate(e4, start, flow, 1e-4), -e4(start) / FRAME.rate_lag, 1e-6)
+
+
+# -- the start ------------------------------------------------------------------------------------------
+
+
+@PROPERTY
+@given(SEEDS, st.floats(0.0, 5.0))
+def test_a_trimmed_vehicle_has_no_tracker_error(seed: int, t: float) -> None:
+    """All of (48), (49), (62), (65) are zero, and the thrust (54) gives the path's acceleration."""
+    ref = Reference(*Sines(seed).at(t))
+    body = world.trimmed(ref, WORLD)
+    m = world.motion(Measured(body.p, body.v, so3.ZERO, body.q, body.w))
+    agree(np.concatenate(tracker.errors(m, ref, WORLD.tracker)), np.zeros(12), 1e-12)
+    thrust = tracker.torque(m, ref, FRAME.mass, WORLD.tracker).thrust
+    agree(GRAVITY * np.array([0.0, 0.0, 1.0]) - thrust / FRAME.mass * matrix(body.q)[:, 2], ref.a)
+
+
+def test_starts_fill_a_ball_evenly() -> None:
+    """`(r / radius)^3` is uniform, every direction alike, at the slot's velocity, level and calm."""
+    slot = Slot((1.0, 2.0, -3.0), (0.3, -0.2, 0.1))
+    bodies = [world.near(slot, key, 3, WORLD) for key in range(3000)]
+    away = np.array([body.p for body in bodies]) - slot.p
+    r = np.linalg.norm(away, axis=1)
+    assert stats.kstest((r / WORLD.start_offset) ** 3, "uniform").pvalue > 1e-3
+    for axis in range(3):  # Archimedes: each component of a random direction is uniform
+        assert stats.kstest(away[:, axis] / r, "uniform", (-1.0, 2.0)).pvalue > 1e-3
+    assert np.abs(np.corrcoef(away.T) - np.eye(3)).max() < 0.08
+    assert abs(np.corrcoef(r, away[:, 2] / r)[0, 1]) < 0.08
+    assert {(body.v, body.q, body.w) for body in bodies} == {(slot.v, so3.IDENTITY, so3.ZERO)}
+    assert world.near(slot, 5, 1, WORLD) != world.near(slot, 5, 2, WORLD)
+
+
+@PROPERTY
+@given(vectors(3.0))
+def test_waiting_and_resting_are_without_motion(p: Vector) -> None:
+    assert world.hold_at(p) == Reference(p, so3.ZERO, so3.ZERO, so3.ZERO, so3.ZERO)
+    assert world.resting(p) == Body(p, so3.ZERO, so3.IDENTITY, so3.ZERO)
+
+
+@PROPERTY
+@given(vectors(3.0), vectors(1.0), st.floats(0.1, 2.0), st.floats(0.5, 1.5))
+def test_a_vehicle_is_within_a_ball(p: Vector, d: Vector, radius: float, part: float) -> None:
+    """One term of (40): `|e1| < e_max`, not the same along each axis."""
+    size = np.linalg.norm(d)
+    if size < 1e-3 or abs(part - 1.0) < 1e-9:
+        return
+    target = vector(np.array(p) + part * radius / size * np.array(d))
+    assert world.within(p, target, radius) == (part < 1.0)
+    assert not world.within((0.0, 0.0, 0.0), (radius, 0.0, 0.0), radius)
+
+
+# -- gusts, and what perfect sensors read ---------------------------------------------------------------
+
+
+def test_a_gust_is_a_gauss_markov_process() -> None:
+    """Stationary with its standard deviation, and correlated by `keep` from tick to tick."""
+    keep = exp(-0.2)
+    gusts = Gusts(keep, 0.7 * np.sqrt(1.0 - keep**2))
+    before, path = so3.ZERO, []
+    for tick in range(4000):
+        before = world.gust(before, gusts, 77, 1, tick)
+        path.append(before)
+    x = np.array(path[50:])
+    np.testing.assert_allclose(x.std(axis=0), 0.7, rtol=0.1)
+    np.testing.assert_allclose(np.mean(x[1:] * x[:-1], axis=0) / 0.49, keep, rtol=0.15)
+    assert np.abs(np.corrcoef(x.T) - np.eye(3)).max() < 0.15
+    kicks = (x[1:] - keep * x[:-1]) / gusts.kick  # white, standard normal
+    for axis in range(3):
+        assert stats.kstest(kicks[:, axis], "norm").pvalue > 1e-3
+    assert np.abs(np.corrcoef(kicks.T) - np.eye(3)).max() < 0.06
+    assert np.abs((kicks[1:] * kicks[:-1]).mean(axis=0)).max() < 0.06
+
+
+def test_each_vehicle_has_its_own_gust_and_without_strength_nothing_changes() -> None:
+    gusts = Gusts(0.9, 0.3)
+    drawn = {world.gust(so3.ZERO, gusts, key, who, 5) for key in (1, 2) for who in (0, 1)}
+    assert len(drawn) == 4
+    assert world.gust((1.0, 2.0, 3.0), Gusts(0.9, 0.0), 1, 1, 1) == (1.0, 2.0, 3.0)
+
+
+@PROPERTY
+@given(STATES, st.floats(0.0, 3.0), vectors(1.0))
+def test_perfect_sensors_read_the_rate_of_the_velocity(
+    x: tuple[Vector, Vector, Quaternion, Vector], thrust: float, push: Vector
+) -> None:
+    """Within an instant of flight, `v` changes by the acceleration measured; on the floor by none."""
+    body, applied = Body(*x), Wrench(thrust, so3.ZERO)
+    read = world.truth(body, applied, push, False, FRAME)
+    assert (read.p, read.v, read.q, read.w) == x
+    h = 1e-6
+    after = quadrotor.fly(body, applied, push, h, MOMENT, FRAME)
+    agree(read.a, np.subtract(after.v, body.v) / h, 1e-3)
+    assert world.truth(body, applied, push, True, FRAME).a == so3.ZERO
+
+
+@pytest.mark.parametrize(
+    ("changed", "every"),
+    [({}, True), ({"window": 3}, False), ({"delay": 1}, False), ({"sample_every": 3}, False)],
+)
+def test_every_tick_is_measured_at_once(changed: dict[str, int], every: bool) -> None:
+    """Only without an average, without a delay, and with as many measurements as ticks."""
+    assert world.every_tick(Clock(0.02, 4, 4, 0, 0)._replace(**changed)) == every
