@@ -24,8 +24,9 @@ from numpy.typing import NDArray
 
 from baselines.system.reading import file_name, read_bytes
 from baselines.system.writing import write_bytes
+from formation_env import levels
 from formation_env.checks import require, shortened, shown
-from formation_env.config import LEVELS
+from formation_env.levels import NAMES as LEVELS
 from formation_env.task import Layout
 
 VERSION = 1  # of the format
@@ -99,7 +100,7 @@ class Card:
         for name, (low, high) in _REAL.items():
             object.__setattr__(self, name, _real(name, getattr(self, name), low, high))
         object.__setattr__(self, "score", _scores(self.score))
-        size = 3 if self.action == "reference" else 4
+        size = levels.LEVELS[levels.numbered(self.action)].size
         _require(
             self.action_size == size, "action_size", self.action_size, f"{size} at {self.action}"
         )

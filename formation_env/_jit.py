@@ -28,6 +28,8 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.extending import lower_builtin, type_callable
 
+_types: Any = types
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 FASTMATH = {"contract", "nsz", "arcp"}
@@ -162,7 +164,7 @@ def _called_by_kernels(
         called.get_call_template = linked.get_call_template
         if not literal:
             called.get_call_template = lambda args, kws: linked.get_call_template(
-                tuple(types.unliteral(one) for one in args), kws
+                tuple(_types.unliteral(one) for one in args), kws
             )
         called.get_overload = linked.get_overload
     return called  # type: ignore[no-any-return]
@@ -183,7 +185,7 @@ def step(function: F) -> F:
 
 
 def cold(function: F) -> F:
-    """Compile `function` as a part of the loop over tiles that is seldom gone through: called, not inlined."""
+    """Compile `function` as a seldom used part of the loop over tiles: called, not inlined."""
     return _called_by_kernels(function, compiler=_ColdCompiler, forceinline=False)
 
 
@@ -196,7 +198,7 @@ def builtin(result: Callable[..., Any], build: Callable[..., Any]) -> Callable[[
 
     def give(function: F) -> F:
         type_callable(function)(lambda context: result)
-        lower_builtin(function, types.VarArg(types.Any))(build)
+        lower_builtin(function, _types.VarArg(_types.Any))(build)
         return function
 
     return give
@@ -223,7 +225,9 @@ def loop(function: F) -> F:
     it writes in an array must not be read through another one: else it would compare all addresses in
     each call, and keep a scalar loop beside the vector one.
     """
-    return _called_by_kernels(function, apart=True, compiler=_LoopCompiler, nogil=True, forceinline=False)
+    return _called_by_kernels(
+        function, apart=True, compiler=_LoopCompiler, nogil=True, forceinline=False
+    )
 
 
 def kernel(function: F) -> F:

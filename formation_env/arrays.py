@@ -29,7 +29,7 @@ from formation_env.world import Action, World, every_tick
 if TYPE_CHECKING:
     from formation_env.config import FormationConfig
 
-# How measurements come: exact and at once, with noise at the end of every tick, or when they are due, maybe late.
+# How measurements come: exact and at once, noisy after every tick, or when they are due and maybe late.
 EXACT, EVERY_TICK, WHEN_DUE = range(3)
 
 # Numbers of a line of the leader's reference: p, v, a, j, s and one that makes it a whole vector.
@@ -117,7 +117,9 @@ rewards = _field("rewards", lambda z: (size(Rewards),))
 limits = _field("limits", lambda z: (size(Limits),))
 bound_of_turning = _field("bound_of_turning", lambda z: (size(Turning),))
 offset = _field("offsets", lambda z: (z.vehicles - 1, 3))  # d, m
-start = _field("starts", lambda z: (z.vehicles, 3))  # m, where vehicles stand on the ground; leader first
+start = _field(
+    "starts", lambda z: (z.vehicles, 3)
+)  # m, where vehicles stand on the ground; leader first
 drawing = _field("drawing", lambda z: (z.drawing,))  # bounds of a random trajectory
 references = _field("references", lambda z: (z.references * LINE,))  # the leader's, tick by tick
 CONSTANTS = tuple(MEMORY.fields)
@@ -126,7 +128,9 @@ CONSTANTS = tuple(MEMORY.fields)
 vehicle = _field("vehicles", lambda z: (z.tiles, z.vehicles, z.vehicle_rows * LANES))
 sample = _field("samples", lambda z: (z.tiles, z.vehicles, z.delays, size(Measured) * LANES))
 follower = _field("followers", lambda z: (z.tiles, z.vehicles - 1, z.follower_rows * LANES))
-speed = _field("speeds", lambda z: (z.worlds, z.window, 3))  # m/s, the leader's last measured velocities
+speed = _field(
+    "speeds", lambda z: (z.worlds, z.window, 3)
+)  # m/s, the leader's last measured velocities
 begin = _field("begins", lambda z: (z.tiles, 3 * LANES))  # m, the leader's first reference point
 table = _field("tables", lambda z: (z.tables, z.table))  # of the leader's trajectory
 counters = _field("counters", lambda z: (z.tiles, size(Counters) * LANES), np.int64)
@@ -145,7 +149,9 @@ moving = _field("moving", lambda z: (LANES,))  # 1 for those whose trigger had f
 started = _field("started", lambda z: (LANES,))  # 1 for those whose trigger has fired
 tally = _field("tally", lambda z: (size(Tally) * LANES,))
 verdict = _field("verdict", lambda z: (size(Verdict) * LANES,))
-velocity_before = _field("velocity_before", lambda z: (2 * LANES,))  # m/s, the leader's in the plane
+velocity_before = _field(
+    "velocity_before", lambda z: (2 * LANES,)
+)  # m/s, the leader's in the plane
 measured_before = _field("measured_before", lambda z: (2 * LANES,))  # m/s, the same as measured
 reference = _field("reference", lambda z: (LINE * LANES,))  # the leader's, in this tick
 lines = _field("lines", lambda z: (LINE * LANES,))  # numbers of each world, to be turned into rows
@@ -155,7 +161,9 @@ given = _field("given", lambda z: (size(Action) * LANES,), np.float32)  # action
 draws = _field("draws", lambda z: (size(Measured) * LANES,), np.float32)  # normal numbers
 action = _field("actions", lambda z: (z.vehicles - 1, size(Action) * LANES))  # as executed
 command = _field("commands", lambda z: (z.vehicles, size(Wrench) * LANES))
-push = _field("pushes", lambda z: (z.vehicles, 3 * LANES))  # m/s^2, of all disturbances in this tick
+push = _field(
+    "pushes", lambda z: (z.vehicles, 3 * LANES)
+)  # m/s^2, of all disturbances in this tick
 before = _field("before", lambda z: (size(Measured) * LANES,))  # one vehicle, a substep ago
 touch = _field("touches", lambda z: (z.vehicles, size(Touch) * LANES))
 outcome = _field("outcomes", lambda z: (z.vehicles - 1, size(Outcome) * LANES))

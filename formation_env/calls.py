@@ -55,7 +55,7 @@ def note_call(
 @step
 def post_call(desk: int, room: Any) -> int:
     """Put the call on the desk, for the other threads; its ticket."""
-    return post(desk, call(room))  # type: ignore[no-any-return]
+    return post(desk, call(room))
 
 
 @step

@@ -85,7 +85,9 @@ def over_table(world: Any, name: str, arguments: str, term: str, whole: str) -> 
         own = {"acts": one.acts, "advance": one.advance, "push": one.push}
         own["read"] = part_loader(world, one.parameters)
         names |= {f"{one.parameters}_{verb}": law for verb, law in own.items()}
-        text = term.replace("parameters", "read(line)").replace("state,", f"states.{one.parameters},")
+        text = term.replace("parameters", "read(line)").replace(
+            "state,", f"states.{one.parameters},"
+        )
         for verb in own:
             text = text.replace(f"{verb}(", f"{one.parameters}_{verb}(")
         terms.append(text)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from formation_env.checks import choice, refuse
 from formation_env.records import define, slices
-from formation_env.task import Outcome, Terms
+from formation_env.task import COLUMNS, FAILED, SEPARATION, Terms
 
 if TYPE_CHECKING:
     from formation_env.config import FormationConfig
@@ -24,9 +24,7 @@ FLOAT = np.dtype(np.float32)
 _INTEGER = np.dtype(np.int64)
 _MANY = 256  # worlds
 
-# Columns of an `Outcome` by name, and those of the reward's terms by their names in `info`.
-COLUMNS = slices(Outcome)
-REWARD, SEPARATION, FAILED = (COLUMNS[n].start for n in ("reward", "separation", "failed"))
+# Columns of the reward's terms by their names in `info`.
 TERMS = {f"reward_{n}": COLUMNS["terms"].start + where.start for n, where in slices(Terms).items()}
 # Made once: a step takes some ten views, and building each one's index anew would cost half as much again
 # as taking it. The dictionaries are displays in code made of the fields, which is as fast as written out.
@@ -41,7 +39,9 @@ _INDICES: dict[str, Any] = {
 
 def _info_of_rows() -> Any:
     """`info(outputs, failures)`: views by name of result rows."""
-    shown = [f"{n!r}: " + ("failures" if i is None else f"outputs[{n}]") for n, i in _INDICES.items()]
+    shown = [
+        f"{n!r}: " + ("failures" if i is None else f"outputs[{n}]") for n, i in _INDICES.items()
+    ]
     source = "def info(outputs, failures):\n    return {" + ", ".join(shown) + "}\n"
     return define("info", source, _INDICES)
 

@@ -1,8 +1,8 @@
 """The loops of a tick: one statement for each, from the law of one vehicle in one world.
 
 The laws here are those that only join others or keep the books; the mathematics is in `quadrotor`, `world`,
-`task`, `slots`, `turning` and `sensors`. The order of a law's arguments is that in which they are loaded: with
-another one the compiler fuses other operations, and last bits change.
+`task`, `slots`, `turning` and `sensors`. The order of a law's arguments is that in which they are loaded: in
+another the compiler fuses other operations, and last bits change.
 """
 
 from __future__ import annotations
@@ -165,9 +165,7 @@ def move(
     return quadrotor.fly(body, applied, push, h, actuation, airframe)
 
 
-fly = over_lanes(
-    move, into=("body",), uniform=("h", "airframe"), static=_ACTUATION, body=Measured
-)
+fly = over_lanes(move, into=("body",), uniform=("h", "airframe"), static=_ACTUATION, body=Measured)
 
 
 @device
@@ -252,7 +250,7 @@ def acceleration(
 sense_exactly = over_lanes(acceleration, into=("body",), uniform=("airframe",), body=Measured)
 
 Pair = tuple[float, float]
-Sixteen = tuple[(float,) * 16]  # type: ignore[misc]
+Eight = tuple[float, float, float, float, float, float, float, float]
 
 
 @device
@@ -280,7 +278,8 @@ def noisy(
     touch: Touch,
     body: Body,
     push: Vector,
-    draws: Sixteen,
+    first: Eight,
+    second: Eight,
     airframe: Airframe,
     noise: Noise,
 ) -> Measured:
@@ -289,16 +288,14 @@ def noisy(
     return perturb(
         exact,
         noise,
-        (draws[0], draws[8], draws[1], draws[9]),
-        (draws[2], draws[10], draws[3], draws[11]),
-        (draws[4], draws[12], draws[5], draws[13]),
-        (draws[6], draws[14], draws[7], draws[15]),
+        (first[0], second[0], first[1], second[1]),
+        (first[2], second[2], first[3], second[3]),
+        (first[4], second[4], first[5], second[5]),
+        (first[6], second[6], first[7], second[7]),
     )
 
 
-add_noise = over_lanes(
-    noisy, into=("sample",), uniform=("airframe", "noise"), body=Measured
-)
+add_noise = over_lanes(noisy, into=("sample",), uniform=("airframe", "noise"), body=Measured)
 
 # -- slots ---------------------------------------------------------------------------------------------------
 
@@ -396,7 +393,7 @@ locate = over_lanes(
     outcome=Outcome,
 )
 
-# -- separations and neighbours --------------------------------------------------------------------------------
+# -- separations and neighbours --------------------------------------------------------------------------
 
 
 class Separation(NamedTuple):
@@ -475,7 +472,7 @@ insert_two = over_lanes(
     other=Measured,
 )
 
-# -- what the followers are shown and paid ---------------------------------------------------------------------
+# -- what the followers are shown and paid ---------------------------------------------------------------
 
 
 class Previous(NamedTuple):
@@ -509,7 +506,7 @@ def judgement(
     rewards: Rewards,
     limits: Limits,
 ) -> tuple[Judged, Previous, Tally]:
-    """Separation, reward and failure of a follower, its action as the next previous one, and the world's sums.
+    """Separation, reward and failure of a follower, its next previous action, and the world's sums.
 
     A world that has not stepped earns nothing and its followers have not failed. `touch` is the follower's,
     `leader` the leader's: a crash of the leader fails a follower that has not failed itself, unpaid.
@@ -587,9 +584,7 @@ def observed(
     return observe(own, leader, anchor, x.estimate, d, x.previous, started)
 
 
-show = over_lanes(
-    observed, into=("rows",), uniform=("d",), bounds=bounds(Observation), x=Follower
-)
+show = over_lanes(observed, into=("rows",), uniform=("d",), bounds=bounds(Observation), x=Follower)
 
 
 class Frame(NamedTuple):

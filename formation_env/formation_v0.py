@@ -16,11 +16,11 @@ from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 
 from formation_env import faces
 from formation_env.arguments import Fixed, check_options, configured, limit, whole_seed
+from formation_env.arrays import Results
 from formation_env.checks import integer, refuse, shown
 from formation_env.config import FormationConfig
-from formation_env.arrays import Results
-from formation_env.faces import COLUMNS
 from formation_env.simulation import Simulation, Snapshot, stream_key
+from formation_env.task import COLUMNS, REWARD
 from formation_env.warning import warn_user
 
 Array = NDArray[np.float32]
@@ -218,7 +218,7 @@ class FormationParallelEnv(Fixed, ParallelEnv[str, Array, Array]):
         for agent, own, slot, error in self._places:
             row = next(numbers)
             observations[agent] = seen[own]
-            rewards[agent] = row[faces.REWARD]
+            rewards[agent] = row[REWARD]
             infos[agent] = faces.describe_agent(outputs[slot], outputs[error], row)
         return observations, rewards, infos
 

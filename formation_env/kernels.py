@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from formation_env import arrays
 from formation_env._jit import announced, kernel, step
 from formation_env.arrays import LINE, Counters
-from formation_env.calls import STEP as STEP  # as `kernels.STEP`, ..., which `Simulation.step` takes
+from formation_env.calls import RESET as RESET
+from formation_env.calls import (
+    STEP as STEP,  # as `kernels.STEP`, ..., which `Simulation.step` takes
+)
 from formation_env.calls import STEP_AND_RESET as STEP_AND_RESET
 from formation_env.calls import STEP_OR_RESET as STEP_OR_RESET
-from formation_env.calls import RESET as RESET
 from formation_env.calls import note_call, post_call, take_call
 from formation_env.records import LANES, at, line_storer
 from formation_env.shuffles import carve, count_finite
@@ -106,7 +108,7 @@ def advance(
 @kernel
 def first_bad_action(mode: int, actions: NDArray[np.float32], memory: Floats) -> int:
     """Number of the first row `(world, follower)` that holds a non-finite number and matters, or -1."""
-    return bad_action(mode, actions, memory)  # type: ignore[no-any-return]
+    return bad_action(mode, actions, memory)
 
 
 @kernel

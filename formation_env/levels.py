@@ -17,7 +17,7 @@ from formation_env.slots import Slot, in_frame, out_of_frame
 from formation_env.so3 import Vector, add_scaled, pick_vector, sub
 from formation_env.tiles import over_lanes
 from formation_env.trajectories import TrajectoryPoint
-from formation_env.world import NEAR, RATE_BOUND, Action, World, follow
+from formation_env.world import NEAR, RATE_BOUND, Action, Reach, World, follow
 
 # -- direct levels ----------------------------------------------------------------------------------------
 
@@ -28,6 +28,21 @@ def driven(action: Action, world: World) -> Wrench:
     r = world.reach
     turn = (r.turn[0] * action[1], r.turn[1] * action[2], r.turn[2] * action[3])
     return Wrench(0.5 * r.thrust * (action[0] + 1.0), turn)
+
+
+@device
+def wrench_action(wanted: Wrench, reach: Reach) -> Action:
+    """The action of a direct level that asks for a thrust (N) and a turn (N m or rad/s, body).
+
+    The inverse of `driven`; beyond [-1, 1] where the vehicle cannot do it.
+    """
+    turn, most = wanted.turn, reach.turn
+    return (
+        2.0 * wanted.thrust / reach.thrust - 1.0,
+        turn[0] / most[0],
+        turn[1] / most[1],
+        turn[2] / most[2],
+    )
 
 
 @device
@@ -80,6 +95,16 @@ def guided(action: Action, guide: Guide, R: complex, world: World) -> Trajectory
     s = world.reach.acceleration
     a = out_of_frame(R, (s[0] * action[0], s[1] * action[1], s[2] * action[2]))
     return TrajectoryPoint(guide.p, guide.v, a, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
+@device
+def acceleration_action(wanted: Vector, reach: Reach) -> Vector:
+    """The action of level `reference` that asks for an acceleration, m/s^2 in the formation frame.
+
+    The inverse of what `guided` does; beyond [-1, 1] where it is more than can be asked for.
+    """
+    most = reach.acceleration
+    return (wanted[0] / most[0], wanted[1] / most[1], wanted[2] / most[2])
 
 
 @device
@@ -148,15 +173,21 @@ class Level(NamedTuple):
     actuation: int | None  # what turns a follower; None: `reference_actuation` of the configuration
     state: Any  # a record of the virtual vehicle, or None; it begins with position and velocity of the slot
     view: Any  # a record of what a policy sees of it, or None
-    exploration: float  # standard deviation of actions at the start of learning, where differences matter
-    command: Any  # (follower, measurement, action, moving, active, world, actuation, command) of a tile
+    decode: Any  # an action as a wrench; at a guided level as the trajectory's point
+    encode: Any  # its inverse
+    exploration: (
+        float  # standard deviation of actions at the start of learning, where differences matter
+    )
+    command: (
+        Any  # (follower, measurement, action, moving, active, world, actuation, command) of a tile
+    )
     show: Any  # (follower, measurement, rows of an observation) of a tile
 
 
 def follower_layout(state: Any) -> Any:
     """The rows of a follower whose level keeps a record of type `state`."""
     own = {} if state is None else fields(state)
-    return NamedTuple("FollowerRows", [*fields(Follower).items(), *own.items()])  # type: ignore[misc]
+    return NamedTuple("FollowerRows", [*fields(Follower).items(), *own.items()])
 
 
 _ROWS = follower_layout(Guide)
@@ -207,9 +238,33 @@ def _show_nothing(x: Any, own: Any, rows: Any) -> None:
 
 
 LEVELS = (
-    Level("wrench", 4, MOMENT, None, None, 0.05, _command_wrench, _show_nothing),
-    Level("rates", 4, RATES, None, None, 0.05, _command_rates, _show_nothing),
-    Level("reference", 3, None, Guide, GuideView, 0.3, _command_reference, _show_guide),
+    Level(
+        "wrench",
+        4,
+        MOMENT,
+        None,
+        None,
+        driven,
+        wrench_action,
+        0.05,
+        _command_wrench,
+        _show_nothing,
+    ),
+    Level(
+        "rates", 4, RATES, None, None, driven, wrench_action, 0.05, _command_rates, _show_nothing
+    ),
+    Level(
+        "reference",
+        3,
+        None,
+        Guide,
+        GuideView,
+        guided,
+        acceleration_action,
+        0.3,
+        _command_reference,
+        _show_guide,
+    ),
 )
 NAMES = tuple(level.name for level in LEVELS)
 WRENCH, RATES_LEVEL, REFERENCE = range(3)

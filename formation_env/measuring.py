@@ -24,7 +24,7 @@ from formation_env.sensors import (
     silent,
     truth,
 )
-from formation_env.shuffles import carve, copy
+from formation_env.shuffles import carve
 from formation_env.so3 import ZERO, Vector
 from formation_env.world import Clock
 
@@ -88,7 +88,8 @@ def measure_with_noise(memory: Any, room: Any, t: int, i: int) -> None:
         arrays.touch(room, i),
         arrays.vehicle(memory, t, i),
         arrays.push(room, i),
-        draws,
+        carve(draws, 0, (half,)),
+        carve(draws, half, (half,)),
         arrays.airframe_line(memory),
         arrays.noise_line(memory),
         arrays.sample(memory, t, i, 0),

@@ -11,8 +11,8 @@ than the few distances it saves.
 
 Arrays, for `m` points and the `K` nearest of each: `cells` `(m,)`, which stretch of the axis each is in;
 `ends` `(m + 1,)`, where in the order those of a stretch lie; `queue` `(QUEUE_ROWS, m + 2 MARGIN)`, the points
-in order; `seekers` `((SEEKER_ROWS + 2 max(K, 2)) BLOCK,)`, the block whose neighbours are sought and, by rank, the squared
-distances and numbers found; `meeting` `(MEETING_ROWS BLOCK,)`, the points they are compared with.
+in order; `seekers` `((SEEKER_ROWS + 2 max(K, 2)) BLOCK,)`, the block whose neighbours are sought and, by
+rank, the squared distances and numbers found; `meeting` `(MEETING_ROWS BLOCK,)`, what to compare them with.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ def order_world(room: Any, lane: int, m: int) -> int:
     """Put the `m` vehicles of one world in order along an axis, which is returned."""
     points = carve(arrays.points(room), lane * m * SIGHT, (m, SIGHT))
     queue = queue_of(room, m)
-    return put_in_order(arrays.cells(room), arrays.ends(room), queue, points, m)  # type: ignore[no-any-return]
+    return put_in_order(arrays.cells(room), arrays.ends(room), queue, points, m)
 
 
 @step
@@ -136,7 +136,11 @@ def fetch_neighbour(memory: Any, room: Any, t: int, i: int, rank: int) -> None:
 @cold
 def fetch_neighbour_of_many(memory: Any, room: Any, i: int, rank: int) -> None:
     """The same from what `find_neighbours_of_many` has put down: a line each, which are turned."""
-    numbers, points, lines = arrays.neighbour(room, i, rank), arrays.points(room), arrays.lines(room)
+    numbers, points, lines = (
+        arrays.neighbour(room, i, rank),
+        arrays.points(room),
+        arrays.lines(room),
+    )
     stride = (arrays.vehicles(memory) - 1) * SIGHT
     for lane in range(LANES):
         j = int(numbers[lane])
@@ -156,7 +160,11 @@ def show_neighbours(memory: Any, room: Any, t: int, i: int) -> None:
     n, K = arrays.vehicles(memory) - 1, arrays.neighbours(memory)
     if n > 2 and n <= CROWD and K > 0:
         find_neighbours_of_few(memory, room, t, i)
-    x, own, rows = arrays.follower(memory, t, i), in_hand(memory, room, t, i + 1), arrays.observation(room)
+    x, own, rows = (
+        arrays.follower(memory, t, i),
+        in_hand(memory, room, t, i + 1),
+        arrays.observation(room),
+    )
     first = len(rows) - K * _NEIGHBOUR * LANES
     for rank in range(min(n - 1, K)):
         sink = carve(rows, first + rank * _NEIGHBOUR * LANES, (_NEIGHBOUR * LANES,))

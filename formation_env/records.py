@@ -143,7 +143,9 @@ def build(kind: Any, reads: list[str], names: dict[str, Any]) -> str:
         return f"complex({reads.pop(0)}, {reads.pop(0)})"
     if is_record(kind):
         names[kind.__name__] = kind
-        return f"{kind.__name__}({', '.join(build(k, reads, names) for k in fields(kind).values())})"
+        return (
+            f"{kind.__name__}({', '.join(build(k, reads, names) for k in fields(kind).values())})"
+        )
     return f"({', '.join(build(one, reads, names) for one in get_args(kind))},)"
 
 

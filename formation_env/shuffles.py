@@ -12,12 +12,12 @@ from __future__ import annotations
 from math import prod
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.np import arrayobj
 
-import numpy as np
 from formation_env._jit import builtin, device, loop
 from formation_env.records import LANES
 
@@ -117,14 +117,16 @@ def _shuffled(builder: Any, rows: list[Any], width: int) -> list[Any]:
 
 def _width(source: Any) -> int:
     """Numbers of an array's kind in a vector."""
-    return _BYTES // (source.dtype.bitwidth // 8)
+    return _BYTES // (int(source.dtype.bitwidth) // 8)
 
 
 def _build_turn_square(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     width, number = _width(signature.args[0]), context.get_data_type(signature.args[0].dtype)
     size, word = _BYTES // width, context.get_value_type(types.int64)
     given = (context, builder, signature, arguments)
-    tile, at, sink, to, stride = (_data(*given, k) if k in (0, 2) else _word(*given, k) for k in range(5))
+    tile, at, sink, to, stride = (
+        _data(*given, k) if k in (0, 2) else _word(*given, k) for k in range(5)
+    )
     rows = []
     for k in range(width):
         place = _vector_at(builder, tile, builder.add(at, word(k * LANES)), number, width)
@@ -186,7 +188,9 @@ def _picked(builder: Any, a: Any, b: Any, picks: list[int]) -> Any:
 def _build_turn_fours(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     number, word = ir.FloatType(), context.get_value_type(types.int64)
     given = (context, builder, signature, arguments)
-    source, at, stride, sink = (_data(*given, k) if k in (0, 3) else _word(*given, k) for k in range(4))
+    source, at, stride, sink = (
+        _data(*given, k) if k in (0, 3) else _word(*given, k) for k in range(4)
+    )
     mixed = []
     for lane in range(LANES):
         offset = builder.add(at, builder.mul(stride, word(lane)))
@@ -263,8 +267,6 @@ def gather(lines: Any, starts: Any, tile: Any) -> None:
     for row in range(0, LANES, width):
         for lane in range(0, LANES, width):
             turn_lines(lines, starts, lane, row, tile)
-
-
 
 
 # -- loops that move numbers -----------------------------------------------------------------------------

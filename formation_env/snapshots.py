@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from formation_env.checks import refuse_where, require, shown
 from formation_env.arrays import Counters, State, by_world, rows
+from formation_env.checks import refuse_where, require, shown
 from formation_env.levels import Follower
 from formation_env.records import slices
 from formation_env.sensors import Measured

@@ -49,7 +49,7 @@ class Store:
     def field(
         self, name: str, shape: Callable[[Any], tuple[int, ...]], kind: Any = np.float64
     ) -> Any:
-        """Declare an array. Returns `view(memory, ...)`, compiled: one of its rows, by all indices but the last.
+        """Declare an array. Returns `view(memory, ...)`, compiled: a row, by all indices but the last.
 
         The last index runs over a whole number of words of 8 bytes.
         """
@@ -104,8 +104,10 @@ class Store:
 def _words(count: int, kind: Any) -> int:
     words, rest = divmod(count * np.dtype(kind).itemsize, _WORD)
     if rest:
-        raise TypeError(f"{count} numbers of {np.dtype(kind)}: expected whole words of {_WORD} bytes")
-    return words
+        raise TypeError(
+            f"{count} numbers of {np.dtype(kind)}: expected whole words of {_WORD} bytes"
+        )
+    return int(words)
 
 
 def size_reader(sizes: Any, name: str) -> Any:
@@ -113,5 +115,3 @@ def size_reader(sizes: Any, name: str) -> Any:
     k = sizes._fields.index(name)
     source = f"def {name}(x):\n    return reinterpret(x, integer)[{k}]\n"
     return step(define(name, source, {"reinterpret": reinterpret, "integer": np.int64}))
-
-

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from formation_env._jit import device
 from formation_env.checks import refuse
 from formation_env.levels import LEVELS
-from formation_env.records import Quantity, fields, notes, size
+from formation_env.records import Quantity, fields, notes, size, slices
 from formation_env.sensors import Measured
 from formation_env.slots import in_frame
 from formation_env.so3 import ZERO, Rotation, Vector, dot, pick_vector, rotation, sub
@@ -140,6 +140,11 @@ class Outcome(NamedTuple):
     slot_error: Vector  # m, inertial: slot minus true position
     separation: float  # m, distance to the nearest other vehicle
     failed: float  # an index into FAILURES
+
+
+# Columns of `arrays.Results.outputs` by name.
+COLUMNS = slices(Outcome)
+REWARD, SEPARATION, FAILED = (COLUMNS[n].start for n in ("reward", "separation", "failed"))
 
 
 @device
@@ -302,5 +307,7 @@ class Layout:
         leading = named["slot_error"].shape[:-1]
         parts = [np.asarray(named[entry.name]) for entry in self.entries]
         tail = [np.asarray(named[entry.name]) for entry in NEIGHBOUR_ENTRIES]
-        neighbours = np.concatenate(tail, axis=-1).reshape(*leading, self.neighbours * size(Neighbour))
+        neighbours = np.concatenate(tail, axis=-1).reshape(
+            *leading, self.neighbours * size(Neighbour)
+        )
         return np.concatenate([*parts, neighbours], axis=-1).astype(np.float32)

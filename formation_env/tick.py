@@ -35,10 +35,16 @@ from formation_env.calls import (
     observations_of,
     outputs_of,
 )
+from formation_env.disturbances import States
 from formation_env.episodes import start_episode
 from formation_env.levels import command_follower, show_level
-from formation_env.measuring import in_hand, measure_exactly, measure_when_due, measure_with_noise, receive
-from formation_env.disturbances import States
+from formation_env.measuring import (
+    in_hand,
+    measure_exactly,
+    measure_when_due,
+    measure_with_noise,
+    receive,
+)
 from formation_env.neighbours import (
     CROWD,
     approach_others,
@@ -219,7 +225,7 @@ def reference_of(memory: Any, t: int, lane: int) -> TrajectoryPoint:
         time = count[_CLOCK + lane] * arrays.read_clock(arrays.world(memory)).period
         table = arrays.own_table(memory, t * LANES + lane)
         ref = evaluate(arrays.family(memory), table, time)
-    return ref  # type: ignore[no-any-return]
+    return ref
 
 
 @step
@@ -233,9 +239,7 @@ def command(memory: Any, room: Any, t: int) -> None:
     for i in range(arrays.vehicles(memory) - 1):
         x, own = arrays.follower(memory, t, i), in_hand(memory, room, t, i + 1)
         action, done = arrays.action(room, i), arrays.command(room, i + 1)
-        command_follower(
-            arrays.level(memory), x, own, action, moving, active, world, by, done
-        )
+        command_follower(arrays.level(memory), x, own, action, moving, active, world, by, done)
 
 
 @step
@@ -251,7 +255,11 @@ def fly(memory: Any, room: Any, t: int) -> None:
     if measuring == arrays.EVERY_TICK:
         flight.number_samples(arrays.counters(memory, t), arrays.counts(room))
     for i in range(arrays.vehicles(memory)):
-        x, applied, push = arrays.vehicle(memory, t, i), arrays.command(room, i), arrays.push(room, i)
+        x, applied, push = (
+            arrays.vehicle(memory, t, i),
+            arrays.command(room, i),
+            arrays.push(room, i),
+        )
         touch, by = arrays.touch(room, i), actuation_of(memory, i)
         flight.clear_touch(touch)
         fetch_next(memory, room, t, i)
@@ -322,7 +330,11 @@ def move_clocks(memory: Any, room: Any, t: int) -> None:
 @step
 def turn_headings(memory: Any, room: Any, t: int) -> None:
     """The headings of slots and those that the followers estimate, in the worlds that have flown."""
-    leader, before, moving = arrays.vehicle(memory, t, 0), arrays.velocity_before(room), arrays.moving(room)
+    leader, before, moving = (
+        arrays.vehicle(memory, t, 0),
+        arrays.velocity_before(room),
+        arrays.moving(room),
+    )
     h = arrays.read_clock(arrays.world(memory)).period
     for i in range(arrays.vehicles(memory) - 1):
         x, d_x = arrays.follower(memory, t, i), arrays.offset(memory, i)[0]
@@ -406,7 +418,11 @@ def locate(memory: Any, room: Any, t: int, here: int) -> int:
     leader = arrays.vehicle(memory, t, 0)
     begin = begin_rows(memory, t, standing, leader)
     for i in range(arrays.vehicles(memory) - 1):
-        x, own, squares = arrays.follower(memory, t, i), arrays.vehicle(memory, t, i + 1), arrays.squares(room, i)
+        x, own, squares = (
+            arrays.follower(memory, t, i),
+            arrays.vehicle(memory, t, i + 1),
+            arrays.squares(room, i),
+        )
         d, started = arrays.offset(memory, i), arrays.started(room)
         flight.locate(started, x, leader, begin, own, d, arrays.outcome(room, i), squares)
         if not many:
@@ -459,7 +475,11 @@ def judge(memory: Any, room: Any, t: int, here: int) -> None:
             limits,
             arrays.outcome(room, i),
         )
-    count, last, verdict = arrays.counters(memory, t), arrays.max_steps(memory), arrays.verdict(room)
+    count, last, verdict = (
+        arrays.counters(memory, t),
+        arrays.max_steps(memory),
+        arrays.verdict(room),
+    )
     flight.conclude(count, tally, leader, active, float(n), limits, last, verdict)
     ends, worlds = ends_of(memory, room), arrays.worlds(memory)
     for k in range(_VERDICT):

@@ -136,7 +136,9 @@ class _Maker:
         name = "_".join([self.name, *map(str, chosen.values())])
         lines = [f"def {name}({', '.join(arguments)}):", *(f"    {line}" for line in head)]
         lines += ["    for lane in range(LANES):", *(f"        {line}" for line in body)]
-        run = loop(define(name, "\n".join([*lines, *(f"    {line}" for line in tail)]) + "\n", space))
+        run = loop(
+            define(name, "\n".join([*lines, *(f"    {line}" for line in tail)]) + "\n", space)
+        )
         LOOPS.append(Loop(name, run, self.law))
         return run
 

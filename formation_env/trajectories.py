@@ -31,7 +31,6 @@ from formation_env.splines import from_samples, waypoints
 from formation_env.tables import ABOVE_FLOOR, LARGEST
 from formation_env.trajectory import Trajectory, path_start
 
-
 __all__ = [
     "FACTORIES",
     "FASTEST",

@@ -158,6 +158,4 @@ next_states = over_table(
     "advance(state, body, parameters, key, who, tick)",
     "States",
 )
-pushed = over_table(
-    World, "pushed", "states, body, line", "push(state, body, parameters)", "add"
-)
+pushed = over_table(World, "pushed", "states, body, line", "push(state, body, parameters)", "add")

@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from formation_env import SCENARIOS, FormationConfig, configure
+from formation_env.levels import LEVELS
 from train.command_line import flag, refuse
 
 Ranges = Mapping[str, tuple[float, float]]  # least and largest value of an option, by name
 
 # Standard deviation of the exploration at the start, by action level, in units of the largest action:
 # about how far apart the actions are that matter.
-STD = {"wrench": 0.05, "rates": 0.05, "reference": 0.3}
+STD = {level.name: level.exploration for level in LEVELS}
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formation_env import faces
-from formation_env.memory import REWARD, SLOT, Results
+from formation_env.arrays import Results
 from formation_env.simulation import Simulation, seeded_key
+from formation_env.task import COLUMNS, REWARD
 
 Mask = NDArray[np.bool_]
 
@@ -30,7 +31,7 @@ def follower_rewards(results: Results) -> NDArray[np.float64]:
 
 def central_state(simulation: Simulation, results: Results) -> NDArray[np.float32]:
     """Each row's world as PettingZoo's `state()` has it, `(worlds * followers, numbers)`."""
-    slots = results.outputs[..., SLOT : SLOT + 3]
+    slots = results.outputs[..., COLUMNS["slot"]]
     return np.repeat(faces.states(simulation, slots), simulation.config.followers, axis=0)
 
 

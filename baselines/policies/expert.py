@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.policies.base import Policy, Rows
 from baselines.policies.expert_lanes import (
     OBSERVED,
     ROOM,
@@ -32,18 +33,18 @@ from baselines.policies.expert_lanes import (
     take_rows,
     waiting,
 )
-from baselines.policies.base import Policy, Rows
 from formation_env import FormationConfig
 from formation_env._jit import device, kernel
-from formation_env.blocks import LANES, carve
+from formation_env.arrays import tiles
 from formation_env.checks import boolean, choice, refuse
-from formation_env.memory import Settings, flatten, tiles, unpack
 from formation_env.planner import PlannerLaw, Virtual, errors, plane
 from formation_env.quadrotor import MOMENT
-from formation_env.records import at, fields, line_storer, size, slices
+from formation_env.records import LANES, at, fields, flatten, line_loader, line_storer, size, slices
 from formation_env.references import TrajectoryPoint
+from formation_env.shuffles import carve
 from formation_env.so3 import Vector
 from formation_env.tracker import errors as tracker_errors
+from formation_env.world import World
 
 Floats = NDArray[np.float64]
 
@@ -79,12 +80,13 @@ class Decision(NamedTuple):
 
 _store_flown, _store_planned = line_storer(Flown), line_storer(Planned)
 _PLANNED = at(Decision, "planned")
+read_world = line_loader(World)
 
 
 @device
-def _flown(m: Measurements, ref: TrajectoryPoint, s: Settings) -> Flown:
-    moment = s.world.follower_actuation == MOMENT
-    e = tracker_errors(m.motion, ref, s.world.tracker if moment else s.world.rates_tracker)
+def _flown(m: Measurements, ref: TrajectoryPoint, world: World) -> Flown:
+    moment = world.follower_actuation == MOMENT
+    e = tracker_errors(m.motion, ref, world.tracker if moment else world.rates_tracker)
     return Flown(ref.p, ref.v, e.e1, e.e2, e.e3, e.e4)
 
 
@@ -107,7 +109,7 @@ def _record(
     record: Floats,
 ) -> None:
     """What `decide` is about to do, a `Decision` in each row; its other arguments, `memory` a copy."""
-    s, room = unpack(settings), open_room(space)
+    world, room = read_world(settings), open_room(space)
     law = planner_law(gains)
     for t in range(len(memory)):
         x = carve(memory, t * VIRTUAL * LANES, (VIRTUAL * LANES,))
@@ -119,11 +121,11 @@ def _record(
             m = measurements(load_observation(room.rows, np.uint64(lane)))
             f = load_virtual(x, np.uint64(lane))
             _store_planned(own[lane, _PLANNED:], _planned(f, m, law))
-        plan_tile(room, x, s.world.clock.period, law, derived)
+        plan_tile(room, x, world.clock.period, law, derived)
         for lane in range(len(own)):
             m = measurements(load_observation(room.rows, np.uint64(lane)))
             ref = load_point(room.points, np.uint64(lane))
-            _store_flown(own[lane], _flown(m, ref, s))
+            _store_flown(own[lane], _flown(m, ref, world))
 
 
 @final
@@ -146,7 +148,7 @@ class Expert(Policy):
     ) -> None:
         super().__init__(config)
         self._derived = choice("feedforward", feedforward, ("zero", "derived")) == "derived"
-        self._settings = np.array(flatten(Settings(config.world, config.reward, config.limits)))
+        self._settings = np.array(flatten(config.world))
         self._gains = np.array(config.planner.law())
         self._keep_record = boolean("keep_record", keep_record)
         self._memory = np.zeros((0, VIRTUAL * LANES))

@@ -1,6 +1,6 @@
 """The expert's decision for a tile of followers, side by side in vector code.
 
-As `formation_env.lanes` does it for worlds: the mathematics is that of `planner`, `feedforward` and
+As `formation_env.flight` does it for worlds: the mathematics is that of `planner`, `feedforward` and
 `tracker`, inlined, in loops over the `LANES` followers of a tile; nothing in them is called or
 branches. A tile holds number after number, each in all lanes, whatever worlds the followers are in.
 """
@@ -12,22 +12,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.policies.actions import acceleration_action, clipped_or_zero, wrench_action
+from baselines.policies.actions import clipped_or_zero
 from baselines.policies.base import Rows
 from formation_env._jit import device, kernel, loop
-from formation_env.blocks import LANES, carve, gather, reinterpret
 from formation_env.elementary import phase, pick
 from formation_env.feedforward import full_trajectory_point
-from formation_env.memory import unpack
+from formation_env.levels import REFERENCE, Guide, acceleration_action, wrench_action
 from formation_env.planner import PlannerLaw, Virtual, advance, place, scaled, trajectory_point
 from formation_env.quadrotor import MOMENT, RATES
-from formation_env.records import define, keeper, line_loader, loader, parts, size, storer
+from formation_env.records import LANES, define, keeper, line_loader, loader, parts, size, storer
 from formation_env.references import TrajectoryPoint
+from formation_env.shuffles import carve, gather, reinterpret
 from formation_env.slots import in_frame, out_of_frame
 from formation_env.so3 import ZERO, Vector, add, cross, pick_vector, scale, sub
 from formation_env.task import Observation
 from formation_env.tracker import Motion
-from formation_env.world import REFERENCE, Action, Guide, Reach, World, track
+from formation_env.world import Action, Reach, World, track
 
 Floats = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ load_observation, load_guided = loader(Observation), loader(Guided)
 load_virtual, keep_virtual = loader(Virtual), keeper(Virtual)
 load_point, _store_point = loader(TrajectoryPoint), storer(TrajectoryPoint)
 _store_action, _store_vector = storer(Action), storer(Vector)
-planner_law = line_loader(PlannerLaw)
+planner_law, read_world = line_loader(PlannerLaw), line_loader(World)
 
 # Rows of a tile: of virtual followers, of their trajectories, of actions, of what is read of observations.
 VIRTUAL, _TRAJECTORY, _ACTION = size(Virtual), size(TrajectoryPoint), size(Action)
@@ -275,9 +275,9 @@ def decide(
     `memory` `(tiles, VIRTUAL L)` are the virtual followers, first number NaN where an episode begins; `space`
     of `ROOM` numbers is overwritten.
     """
-    s, room = unpack(settings), open_room(space)
+    world, room = read_world(settings), open_room(space)
     law = planner_law(gains)
-    h, level = s.world.clock.period, s.world.level
+    h, level = world.clock.period, world.level
     entries = _GUIDED if level == REFERENCE else OBSERVED
     any_waits = False
     for t in range(len(memory)):
@@ -288,11 +288,11 @@ def decide(
         plan_tile(room, x, h, law, derived)
         any_waits = waiting(x) or any_waits
         if level == REFERENCE:
-            accelerate(room.rows, x, room.points, h, s.world.reach, room.actions)
-        elif s.world.follower_actuation == MOMENT:
-            act_by_moment(room.rows, room.points, s.world, room.actions)
+            accelerate(room.rows, x, room.points, h, world.reach, room.actions)
+        elif world.follower_actuation == MOMENT:
+            act_by_moment(room.rows, room.points, world, room.actions)
         else:
-            act_by_rates(room.rows, room.points, s.world, room.actions)
+            act_by_rates(room.rows, room.points, world, room.actions)
         for lane in range(min(LANES, len(rows) - t * LANES)):
             for k in range(actions.shape[1]):
                 actions[t * LANES + lane, k] = room.actions[k * LANES + lane]

@@ -12,11 +12,11 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.policies.actions import clipped, corrected
-from baselines.policies.expert import Expert
 from baselines.files import Card, Network, check, load
-from baselines.policies.forward import LANES, gathered, layer, padded, spread
+from baselines.policies.actions import clipped, corrected
 from baselines.policies.base import Policy, Rows
+from baselines.policies.expert import Expert
+from baselines.policies.forward import LANES, gathered, layer, padded, spread
 from baselines.policies.transfer import warn_of_transfer
 from formation_env import FormationConfig
 

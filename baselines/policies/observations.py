@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from formation_env import FormationConfig
 from formation_env._jit import kernel
 from formation_env.checks import refuse
-from formation_env.task import NEIGHBOUR, NEIGHBOUR_ENTRIES, Layout
+from formation_env.records import size
+from formation_env.task import NEIGHBOUR_ENTRIES, Layout, Neighbour
 
 Rows = NDArray[np.float32]
 
@@ -101,7 +102,7 @@ def entry_name(layout: Layout, column: int) -> str:
     for name, where in layout.slices.items():
         if where.start <= column < where.stop:
             return f"{name}[{column - where.start}]"
-    neighbour, column = divmod(column - layout.first_neighbour, NEIGHBOUR)
+    neighbour, column = divmod(column - layout.first_neighbour, size(Neighbour))
     for entry in NEIGHBOUR_ENTRIES:
         if column < entry.size:
             return f"{entry.name}[{neighbour}][{column}]"

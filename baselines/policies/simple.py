@@ -7,10 +7,11 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.policies.actions import acceleration_action, clipped, wrench_action
+from baselines.policies.actions import clipped
 from baselines.policies.base import Policy, Rows
 from formation_env import FormationConfig
 from formation_env._jit import kernel, plain
+from formation_env.levels import acceleration_action, wrench_action
 from formation_env.quadrotor import GRAVITY, MOMENT, Wrench
 from formation_env.rng import POLICY, uniforms
 

@@ -24,8 +24,8 @@ from baselines.policies.expert import Expert
 from baselines.system.reading import file_name, read_bytes
 from formation_env import FormationConfig, configure
 from formation_env.checks import choice, refuse, require, shown
-from formation_env.config import LEVELS
 from formation_env.gains import PlannerGains, TrackerGains
+from formation_env.levels import NAMES as LEVELS
 from formation_env.warning import warn_user
 
 GAINS = Path(__file__).parent.parent / "tuned_gains.json"

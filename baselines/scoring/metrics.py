@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from formation_env import FormationConfig
 from formation_env._jit import device, kernel
-from formation_env.memory import ERROR, FAILED, SEPARATION, SLOT
 from formation_env.so3 import Vector, dot, sub
-from formation_env.task import FAILURES, distance
+from formation_env.task import COLUMNS, FAILED, FAILURES, SEPARATION, distance
 
 Floats = NDArray[np.float64]
+
+SLOT, ERROR = COLUMNS["slot"].start, COLUMNS["slot_error"].start
 
 SETTLED = 0.15  # m, slot error below which a follower counts as settled: half the reward's scale
 HELD = 1.0  # s, for at least so long before the end

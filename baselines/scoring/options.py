@@ -13,7 +13,7 @@ from baselines.scoring.evaluation import EPISODES
 from baselines.system.arguments import Parser, reader, seconds, whole
 from formation_env import SCENARIOS
 from formation_env.checks import shown
-from formation_env.config import LEVELS
+from formation_env.levels import NAMES as LEVELS
 
 
 def _scenarios(text: str) -> list[str]:

@@ -21,9 +21,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NoReturn, final
 
-from baselines.system import console
 from baselines.reporting.cells import scored, signed
 from baselines.scoring.evaluation import EPISODES
+from baselines.system import console
 from baselines.system.writing import write_text
 from train.cards import guide, shipping
 

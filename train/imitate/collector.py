@@ -7,8 +7,8 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.policies.expert import Expert
 from baselines.policies.base import Policy
+from baselines.policies.expert import Expert
 from formation_env import FormationConfig
 from formation_env.simulation import Simulation
 from train.imitate.buffer import Rows, SampleBuffer

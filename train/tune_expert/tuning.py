@@ -12,12 +12,12 @@ import numpy as np
 
 import formation_env
 from baselines import make_policy
-from baselines.scoring.intervals import Estimate
 from baselines.policies.base import Policy
-from baselines.system.progress import compiling
-from baselines.scoring.rollout import fly_all
-from baselines.scoring.results import Result, judge
 from baselines.policies.tuned import VERSION, ExpertTuned, Gains, own, read
+from baselines.scoring.intervals import Estimate
+from baselines.scoring.results import Result, judge
+from baselines.scoring.rollout import fly_all
+from baselines.system.progress import compiling
 from baselines.system.writing import claim, write_text
 from formation_env import FormationConfig
 from train.seeds import TUNING_SEEDS, TUNING_VALIDATION_SEEDS
