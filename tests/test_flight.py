@@ -1,0 +1,547 @@
+"""The loops that keep the books of a tile, against NumPy; those that fly, against one vehicle at a time."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from states import filled, lane_of, line, measured_in, tile
+
+from formation_env import Limits, Rewards, configure, flight, quadrotor, task
+from formation_env.arrays import Candidate, Counters, Squares, Tally, Touch, Verdict, rows
+from formation_env.levels import (
+    LEVELS,
+    Follower,
+    Guide,
+    command_follower,
+    follower_layout,
+    guide_on,
+    guided,
+    numbered,
+)
+from formation_env.quadrotor import MOMENT, RATES, Body, Wrench, saturate
+from formation_env.records import LANES, bounds, flatten, size
+from formation_env.sensors import Measured, truth
+from formation_env.slots import advance_heading
+from formation_env.task import LEADER, NO_FAILURE, Neighbour, Observation, Outcome, Terms
+from formation_env.trajectories import TrajectoryPoint
+from formation_env.turning import turning
+from formation_env.world import Action, follow, motion, track
+
+Floats = npt.NDArray[np.float64]
+
+Vector3 = flight.Position  # a record of one vector
+
+
+def drawn(seed: int) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def flags(draw: np.random.Generator) -> Floats:
+    """Zeros and ones, a lane each."""
+    return draw.integers(0, 2, LANES).astype(np.float64)
+
+
+def counted(**given: Any) -> Any:
+    """`Counters` in all lanes."""
+    x = tile(Counters, np.int64)
+    for name, values in given.items():
+        rows(x, Counters)[name][:] = values
+    return x
+
+
+# -- which worlds step, and when an episode ends ------------------------------------------------------
+
+
+@pytest.mark.parametrize("reset", [0, 1, 2])
+def test_worlds_named_step_or_are_reset(reset: int) -> None:
+    for seed in range(20):
+        draw = drawn(seed)
+        named = draw.integers(0, 2, LANES).astype(np.bool_)
+        over, started = draw.integers(0, 2, (2, LANES))
+        active, moving = np.full(LANES, 7.0), np.full(LANES, 7.0)
+        counters = counted(over=over, started=started)
+        chosen = flight.choose(named, counters, reset, active, moving)
+        fresh = named & ((reset == 2) | ((reset == 1) & (over != 0)))
+        on = named & ~fresh
+        np.testing.assert_array_equal(active, on)
+        np.testing.assert_array_equal(moving, on & (started != 0))
+        assert chosen.flying == on.sum()
+        assert chosen.waiting == fresh.sum()
+        assert chosen.standing == (started == 0).sum()
+
+
+def test_clocks_move_on_in_the_worlds_that_step() -> None:
+    draw = drawn(0)
+    active = flags(draw)
+    moving = active * flags(draw)
+    tick, clock = draw.integers(0, 100, (2, LANES))
+    counters = counted(tick=tick, clock=clock, episode=3, over=1)
+    flight.move_on(counters, active, moving)
+    expected = counted(tick=tick + active, clock=clock + moving, episode=3, over=1)
+    np.testing.assert_array_equal(counters, expected)
+    counts = np.zeros(LANES, np.uint64)
+    flight.number_samples(counted(tick=tick), counts)
+    np.testing.assert_array_equal(counts, tick + 1)
+    starts = np.zeros(LANES, np.int64)
+    for lines in (0, 40, int(clock.max()), int(clock.max()) + 1):
+        assert flight.find_lines(counted(clock=clock), lines, 16, starts) == (clock >= lines).sum()
+        np.testing.assert_array_equal(starts, 16 * clock)
+
+
+def test_worlds_that_wait_for_the_start_are_counted() -> None:
+    started, noted = drawn(1).integers(0, 2, LANES), np.full(LANES, 7.0)
+    assert flight.note_started(counted(started=started), noted) == (started == 0).sum()
+    np.testing.assert_array_equal(noted, started)
+
+
+LIMITS = Limits(collision=0.2, impact=1.0, tilt=0.5, lost=10.0)
+
+
+def test_an_episode_ends_by_a_failure_an_impact_of_the_leader_or_in_time() -> None:
+    for seed in range(20):
+        draw = drawn(seed)
+        active, failed, total = flags(draw), flags(draw), draw.normal(size=LANES)
+        impacts, tick = draw.uniform(0.0, 2.0, LANES), draw.integers(8, 13, LANES)
+        before = draw.integers(0, 2, LANES)
+        counters, verdict = counted(tick=tick, over=before), tile(Verdict)
+        tally, leader = tile(Tally), tile(Touch)
+        rows(tally, Tally)["reward"][:], rows(tally, Tally)["failed"][:] = total, failed
+        rows(leader, Touch)["speed"][:] = impacts
+        flight.conclude(counters, tally, leader, active, 4.0, line(LIMITS), 10, verdict)
+        on = active > 0.0
+        ended = on & ((failed > 0.0) | (impacts > 1.0))
+        late = on & (tick >= 10)
+        over = np.where(on, ended | late, before)
+        np.testing.assert_array_equal(counters, counted(tick=tick, over=over))
+        found = rows(verdict, Verdict)
+        np.testing.assert_array_equal(found["reward"], [total / 4.0])
+        np.testing.assert_array_equal(found["terminated"], [ended])
+        np.testing.assert_array_equal(found["truncated"], [late])
+
+
+# -- flight -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("actuation", [MOMENT, RATES])
+def test_the_leader_is_commanded_and_flown_as_one_vehicle_alone(actuation: int) -> None:
+    world, draw = configure("nominal").world, drawn(5)
+    own, ref = filled(Measured, draw), filled(TrajectoryPoint, draw)
+    command, push = tile(Wrench), filled(Vector3, draw)
+    flight.lead(ref, own, line(world), actuation, command)
+    body, h = own.copy(), 0.005
+    flight.fly(command, body, push, h, actuation, line(world.airframe))
+    for lane in range(LANES):
+        point = TrajectoryPoint(**lane_of(ref, TrajectoryPoint, lane))
+        m = measured_in(own, lane)
+        applied = follow(point, m, world, actuation)
+        found = lane_of(command, Wrench, lane)
+        np.testing.assert_allclose(found["thrust"], applied.thrust, rtol=1e-9)
+        np.testing.assert_allclose(found["turn"], applied.turn, rtol=1e-9, atol=1e-12)
+        state, a = Body(m.p, m.v, m.q, m.w), lane_of(push, Vector3, lane)["p"]
+        after = quadrotor.fly(state, Wrench(**found), a, h, actuation, world.airframe)
+        flown = measured_in(body, lane)
+        np.testing.assert_allclose(flatten(Body(flown.p, flown.v, flown.q, flown.w)),
+                                   flatten(after), rtol=1e-9, atol=1e-12)  # fmt: skip
+        assert flown.a == m.a
+
+
+@pytest.mark.parametrize("scenario", ["nominal", "experiment"])
+def test_a_guided_follower_is_commanded_as_one_alone(scenario: str) -> None:
+    """Along its virtual follower, which moves on where the world steps, and waits before its start."""
+    world, draw = configure(scenario, action="reference").world, drawn(5)
+    level = numbered("reference")
+    layout = follower_layout(LEVELS[level].state)
+    x, own = filled(layout, draw), filled(Measured, draw)
+    rows(own, Measured)["q"][:] = [[1.0], [0.0], [0.0], [0.0]]
+    action, active = draw.uniform(-1.0, 1.0, 4 * LANES), flags(draw)
+    moving, before = active * flags(draw), x.copy()
+    command, by = tile(Wrench), world.follower_actuation
+    command_follower(level, x, own, action, moving, active, line(world), by, command)
+    for lane in range(LANES):
+        was, now = lane_of(before, layout, lane), lane_of(x, layout, lane)
+        guide, a = Guide(was["p"], was["v"]), action.reshape(-1, LANES)[:, lane]
+        ref = guided((*(moving[lane] * a[:3]), 0.0), guide, complex(*was["estimate"]), world)
+        moved = guide_on(guide, ref.a, world.clock.period) if active[lane] else guide
+        np.testing.assert_allclose(now["p"], moved.p, rtol=1e-13)
+        np.testing.assert_allclose(now["v"], moved.v, rtol=1e-13)
+        wanted = track(motion(measured_in(own, lane)), ref, by, world)
+        applied = saturate(wanted, by, world.airframe)
+        found = lane_of(command, Wrench, lane)
+        np.testing.assert_allclose(found["thrust"], applied.thrust, rtol=1e-9)
+        np.testing.assert_allclose(found["turn"], applied.turn, rtol=1e-9, atol=1e-12)
+        assert all(now[name] == was[name] for name in Follower._fields)
+
+
+@pytest.mark.parametrize("actuation", [MOMENT, RATES])
+def test_in_the_air_a_vehicle_kept_above_the_floor_flies_the_same(actuation: int) -> None:
+    """Bit for bit: whether a tile looks out for the floor depends on other worlds of it."""
+    frame, draw = line(configure("nominal").vehicle.airframe()), drawn(5)
+    for scale in 10.0 ** draw.uniform(-3.0, 1.0, 200):
+        x, command = filled(Measured, draw), filled(Wrench, draw) * scale
+        for name in ("p", "v", "w"):
+            rows(x, Measured)[name][:] *= scale
+        height = rows(x, Measured)["p"][2]
+        height[:] = -1000.0 - abs(height)
+        rows(command, Wrench)["turn"][:] *= 1e-4  # moments that a vehicle has
+        push = draw.normal(size=3 * LANES) * scale
+        high, low, touch = x, x.copy(), tile(Touch)
+        flight.clear_touch(touch)
+        for _ in range(4):
+            flight.fly(command, high, push, 0.005, actuation, frame)
+            before = low.copy()
+            flight.fly(command, low, push, 0.005, actuation, frame)
+            flight.land(low, before, touch)
+        np.testing.assert_array_equal(high, low)
+        assert not rows(touch, Touch)["speed"].any()
+        assert not rows(touch, Touch)["touching"].any()
+
+
+def test_a_vehicle_that_lands_is_kept_and_its_hardest_touch_down_noted() -> None:
+    """As `quadrotor.touch_floor` keeps one alone; a softer one later leaves the speed and the attitude."""
+    draw = drawn(6)
+    before = filled(Measured, draw)
+    body = filled(Measured, draw)
+    touch = tile(Touch)
+    noted = rows(touch, Touch)
+    noted["speed"][:] = draw.choice([0.0, 0.5, 5.0, np.inf], LANES)
+    noted["uprightness"][:] = draw.uniform(-1.0, 1.0, LANES)
+    noted["touching"][:] = draw.integers(0, 2, LANES)
+    was, x = touch.copy(), body.copy()
+    flight.land(x, before, touch)
+    landed = 0
+    for lane in range(LANES):
+        states = [measured_in(one, lane) for one in (body, before)]
+        kept, contact = quadrotor.touch_floor(*(Body(m.p, m.v, m.q, m.w) for m in states))
+        after, old, new = (
+            measured_in(x, lane),
+            lane_of(was, Touch, lane),
+            lane_of(touch, Touch, lane),
+        )
+        np.testing.assert_allclose(
+            flatten(Body(after.p, after.v, after.q, after.w)), flatten(kept), atol=1e-14
+        )
+        harder = contact.touching and contact.speed > old["speed"]
+        assert new["speed"] == max(old["speed"], contact.speed)
+        expected = contact.uprightness if harder else old["uprightness"]
+        np.testing.assert_allclose(new["uprightness"], expected, rtol=1e-14)
+        assert new["touching"] == contact.touching
+        landed += contact.touching
+    assert 2 < landed < LANES - 2
+
+
+def test_before_it_flies_nothing_has_touched_the_floor() -> None:
+    touch = np.full(size(Touch) * LANES, 7.0)
+    flight.clear_touch(touch)
+    noted = rows(touch, Touch)
+    assert (noted["speed"] == 0.0).all()
+    assert (noted["uprightness"] == 1.0).all()
+    assert (noted["touching"] == 0.0).all()
+
+
+def test_lanes_may_meet_the_floor_each_for_itself() -> None:
+    """Counted where active: those low or falling, not those high up; of moments and of rates."""
+    config = configure()
+    frame, clock = config.vehicle.airframe(), config.world.clock
+    for seed in range(10):
+        draw = drawn(seed)
+        x, active = tile(Measured), flags(draw)
+        low = draw.integers(0, 2, LANES).astype(np.bool_)
+        named = rows(x, Measured)
+        named["p"][2], named["q"][0] = np.where(low, -0.001, -1.0), 1.0
+        named["v"][2] = 0.1
+        constants = line(clock), line(frame), line(turning(frame, clock.period, clock.substeps))
+        for actuation in (MOMENT, RATES):
+            rest = tile(Wrench), np.zeros(3 * LANES), active, *constants, actuation
+            assert flight.count_landing(x, *rest) == (low & (active > 0.0)).sum()
+
+
+@pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")  # without the compiler
+@pytest.mark.parametrize("part", ["p", "v", "q", "w"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e200])
+def test_what_cannot_be_computed_is_noted_as_an_infinite_speed(part: str, value: float) -> None:
+    draw = drawn(0)
+    x, touch = filled(Measured, draw), draw.uniform(0.0, 2.0, size(Touch) * LANES)
+    expected, bad = touch.copy(), draw.integers(0, 2, LANES).astype(np.bool_)
+    rows(x, Measured)[part][0, bad] = value
+    if part == "q":  # normalised, one that is infinite has become NaN and one too large zero
+        rows(x, Measured)[part][:, bad] = 0.0 if value == 1e200 else np.nan
+    flight.note_unsound(x, touch)
+    rows(expected, Touch)["speed"][:, bad] = np.inf
+    np.testing.assert_array_equal(touch, expected)
+
+
+@pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")
+def test_a_speed_that_overflows_is_sound_in_no_part_of_three() -> None:
+    """`|p|^2 + |v|^2 + |w|^2` each alone beyond the numbers, and a quaternion shorter than half."""
+    for part, value in (("p", 1e160), ("v", -1e160), ("w", 1e160), ("q", 0.4)):
+        x, touch = tile(Measured), tile(Touch)
+        rows(x, Measured)["q"][0] = 1.0
+        rows(x, Measured)[part][0, 3] = value
+        flight.note_unsound(x, touch)
+        assert np.flatnonzero(np.isinf(rows(touch, Touch)["speed"][0])).tolist() == [3], part
+
+
+def test_the_acceleration_measured_is_that_of_the_truth() -> None:
+    """And nothing else is written; on the floor it is zero."""
+    frame, draw = configure("paper").vehicle.airframe(), drawn(7)
+    x, command, push = filled(Measured, draw), filled(Wrench, draw), filled(Vector3, draw)
+    touch, before = tile(Touch), x.copy()
+    rows(touch, Touch)["touching"][:] = flags(draw)
+    flight.sense_exactly(command, touch, x, push, line(frame))
+    for lane in range(LANES):
+        was, now = measured_in(before, lane), measured_in(x, lane)
+        on = bool(lane_of(touch, Touch, lane)["touching"])
+        applied, a = Wrench(**lane_of(command, Wrench, lane)), lane_of(push, Vector3, lane)["p"]
+        exact = truth(Body(was.p, was.v, was.q, was.w), applied, a, on, frame)
+        np.testing.assert_allclose(now.a, exact.a, rtol=1e-13, atol=1e-13)
+        assert (now.p, now.v, now.q, now.w) == (was.p, was.v, was.q, was.w)
+
+
+# -- slots, separations and neighbours ------------------------------------------------------------------
+
+
+def test_where_the_truth_is_measured_both_headings_are_that_of_the_truth() -> None:
+    draw = drawn(3)
+    x, leader, before = filled(Follower, draw), filled(Measured, draw), draw.normal(size=2 * LANES)
+    rows(x, Follower)["estimate"][:] = rows(x, Follower)["heading"]
+    moving, both = flags(draw), x.copy()
+    flight.turn_headings(before, leader, before, leader, both, moving, -0.4, 0.02)
+    once = x.copy()
+    flight.turn_headings_exactly(before, leader, once, moving, -0.4, 0.02)
+    np.testing.assert_array_equal(once, both)
+    turned = rows((once != x).astype(float), Follower)
+    for name in ("heading", "estimate"):
+        np.testing.assert_array_equal(turned[name].any(axis=0), moving > 0.0)
+    assert not turned["previous"].any()
+
+
+def test_the_slot_turns_by_the_true_motion_and_the_estimate_by_the_measured() -> None:
+    draw, d_x, h = drawn(13), -0.4, 0.02
+    x, leader, told = filled(Follower, draw), filled(Measured, draw), filled(Measured, draw)
+    before, told_before = draw.normal(size=(2, 2 * LANES))
+    moving, was = flags(draw), x.copy()
+    flight.turn_headings(before, leader, told_before, told, x, moving, d_x, h)
+    for lane in range(LANES):
+        old, new = lane_of(was, Follower, lane), lane_of(x, Follower, lane)
+        for name, then, now in (("heading", before, leader), ("estimate", told_before, told)):
+            v0 = complex(*then.reshape(2, LANES)[:, lane])
+            v1 = complex(*measured_in(now, lane).v[:2])
+            R = advance_heading(complex(*old[name]), v0, v1, d_x, h)
+            expected = R if moving[lane] else complex(*old[name])
+            np.testing.assert_allclose(complex(*new[name]), expected, rtol=1e-13)
+        assert new["previous"] == old["previous"]
+
+
+def test_the_leader_is_the_first_that_a_follower_may_be_near() -> None:
+    draw = drawn(4)
+    x, leader, own = filled(Follower, draw), filled(Measured, draw), filled(Measured, draw)
+    begin, started = draw.normal(size=(3, LANES)), flags(draw)
+    outcome, squares = tile(Outcome), tile(Squares)
+    d = np.array([0.3, -0.2, 0.1])
+    flight.locate(started, x, leader, begin.ravel(), own, d, outcome, squares)
+    place, mine = rows(leader, Measured)["p"], rows(own, Measured)["p"]
+    found = rows(squares, Squares)
+    apart = ((mine - place) ** 2).sum(axis=0)
+    np.testing.assert_allclose(found["separation"][0], apart, rtol=1e-14)
+    # The slot is at the leader, or where it will start from: the offset's length away.
+    slots = rows(outcome, Outcome)["slot"]
+    anchor = np.where(started, place, begin)
+    np.testing.assert_allclose(((slots - anchor) ** 2).sum(axis=0), 0.09 + 0.04 + 0.01)
+    R = rows(x, Follower)["heading"]
+    np.testing.assert_allclose(
+        anchor - slots, [R[0] * 0.3 + R[1] * 0.2, R[1] * 0.3 - R[0] * 0.2, np.full(LANES, 0.1)],
+        rtol=1e-12, atol=1e-14,
+    )  # fmt: skip
+    np.testing.assert_allclose(rows(outcome, Outcome)["slot_error"], slots - mine, atol=1e-14)
+    error = ((slots - mine) ** 2).sum(axis=0)
+    np.testing.assert_allclose(found["error"][0], error, rtol=1e-14)
+
+
+def test_the_nearest_other_vehicle_is_kept() -> None:
+    draw = drawn(8)
+    one, otfastest = filled(Measured, draw), [filled(Measured, draw) for _ in range(4)]
+    squares, outcome = tile(Squares), np.full(size(Outcome) * LANES, 7.0)
+    rows(squares, Squares)["separation"][:], rows(squares, Squares)["error"][:] = 4.0, 9.0
+    for other in otfastest:
+        flight.approach(one, other, squares)
+    p = [rows(x, Measured)["p"] for x in (one, *otfastest)]
+    least = np.min([((p[0] - q) ** 2).sum(axis=0) for q in p[1:]] + [np.full(LANES, 4.0)], axis=0)
+    np.testing.assert_allclose(rows(squares, Squares)["separation"][0], least, rtol=1e-14)
+    assert (rows(squares, Squares)["error"] == 9.0).all()
+    flight.separate(squares, outcome)
+    np.testing.assert_allclose(rows(outcome, Outcome)["separation"][0], np.sqrt(least))
+    assert (outcome == 7.0).sum() == (size(Outcome) - 1) * LANES
+
+
+@pytest.mark.parametrize("ranks", [1, 2, 3])
+def test_the_nearest_are_kept_in_order_and_the_smaller_number_first(ranks: int) -> None:
+    draw = drawn(2)
+    places = draw.integers(0, 3, (8, 3, LANES)).astype(np.float64)  # many are equally far
+    own, *otfastest = (tile(Measured) for _ in range(8))
+    for x, place in zip((own, *otfastest), places, strict=True):
+        rows(x, Measured)["p"][:] = place
+    nearest, candidate = [tile(Candidate) for _ in range(3)], tile(Candidate)
+    for held in nearest:
+        flight.clear_candidate(held)
+    for j, other in enumerate(otfastest):
+        if ranks > 1:
+            flight.insert_two(other, own, float(j), nearest[0], nearest[1], candidate)
+        else:
+            flight.measure(other, own, float(j), candidate)
+            flight.insert(candidate, nearest[0])
+        for held in nearest[2:ranks]:
+            flight.insert(candidate, held)
+    squares = ((places[1:] - places[0]) ** 2).sum(axis=1)
+    order = np.argsort(squares, axis=0, kind="stable")[:ranks]
+    found = [rows(held, Candidate) for held in nearest[:ranks]]
+    np.testing.assert_array_equal([one["number"][0] for one in found], order)
+    expected = np.take_along_axis(squares, order, axis=0)
+    np.testing.assert_array_equal([one["square"][0] for one in found], expected)
+
+
+@pytest.mark.parametrize("kept", [1, 2, 4])
+def test_few_are_ordered_by_distance_and_number_too(kept: int) -> None:
+    """Small whole distances: nearly always some are equal, and one held is moved down the list."""
+    distances = drawn(6).integers(0, 4, (9, LANES)).astype(np.float64)
+    nearest, candidate = [tile(Candidate) for _ in range(kept)], tile(Candidate)
+    for held in nearest:
+        flight.clear_candidate(held)
+        assert np.isinf(rows(held, Candidate)["square"]).all()
+        assert (rows(held, Candidate)["number"] == -1.0).all()
+    for number, row in enumerate(distances):
+        rows(candidate, Candidate)["square"][:] = row
+        rows(candidate, Candidate)["number"][:] = number
+        for held in nearest:
+            flight.insert(candidate, held)
+    for lane in range(LANES):
+        expected = sorted(range(9), key=lambda j: (distances[j, lane], j))[:kept]
+        assert [rows(one, Candidate)["number"][0, lane] for one in nearest] == expected
+
+
+# -- what the followers are shown and paid ------------------------------------------------------------------
+
+REWARDS = Rewards(scale=0.3, effort=0.05, smoothness=0.07, failure=10.0)
+
+
+@pytest.mark.filterwarnings("ignore:invalid value encountered:RuntimeWarning")
+def test_followers_are_judged_as_one_alone() -> None:
+    """Reward, failure and the next previous action where the world steps; sums in the order of followers."""
+    seen = set()
+    for seed in range(12):
+        draw = drawn(seed)
+        active, squares = flags(draw), draw.choice([0.01, 0.03, 1.0, 400.0], size(Squares) * LANES)
+        touch, leader = tile(Touch), tile(Touch)
+        for one in (touch, leader):
+            rows(one, Touch)["speed"][:] = draw.choice([0.0, 0.5, 2.0], LANES)
+            rows(one, Touch)["uprightness"][:] = draw.choice([0.2, 1.0], LANES)
+        rows(leader, Touch)["speed"][:, ::7] = np.inf
+        action, x = draw.uniform(-1.0, 1.0, size(Action) * LANES), filled(Follower, draw)
+        tally, outcome = (
+            np.abs(draw.normal(size=size(Tally) * LANES)),
+            np.full(size(Outcome) * LANES, 7.0),
+        )
+        was, sums = x.copy(), tally.copy()
+        weights = 3, line(REWARDS), line(LIMITS)
+        flight.judge(active, squares, touch, leader, action, x, tally, *weights, outcome)
+        for lane in range(LANES):
+            apart, own = lane_of(squares, Squares, lane), lane_of(touch, Touch, lane)
+            fastest = lane_of(leader, Touch, lane)["speed"]
+            error = np.sqrt(apart["error"]) + (np.nan if np.isinf(fastest) else 0.0)
+            separation, a = np.sqrt(apart["separation"]), action.reshape(-1, LANES)[:, lane]
+            why = task.failure(separation, own["speed"], own["uprightness"], error, LIMITS)
+            before = lane_of(was, Follower, lane)
+            previous = before["previous"]
+            terms = task.reward(error, tuple(a), previous, 3, why != NO_FAILURE, REWARDS)
+            if why == NO_FAILURE and fastest > LIMITS.impact:
+                why = LEADER
+            on = bool(active[lane])
+            found, after = lane_of(outcome, Outcome, lane), lane_of(x, Follower, lane)
+            np.testing.assert_allclose(
+                found["terms"], terms if on else np.zeros(len(terms)), atol=1e-14
+            )
+            np.testing.assert_allclose(found["reward"], sum(terms) if on else 0.0, atol=1e-14)
+            np.testing.assert_allclose(found["separation"], separation)
+            assert found["failed"] == (why if on else 0.0)
+            assert found["slot"] == found["slot_error"] == (7.0, 7.0, 7.0)
+            assert after["previous"] == (tuple(a) if on else previous)
+            assert (after["heading"], after["estimate"]) == (before["heading"], before["estimate"])
+            old, new = lane_of(sums, Tally, lane), lane_of(tally, Tally, lane)
+            np.testing.assert_allclose(new["reward"], old["reward"] + found["reward"])
+            assert new["failed"] == max(old["failed"], found["failed"])
+            seen |= {(why, on)}
+    assert len(seen) == 10  # each way to fail and none, in worlds that step and in otfastest
+
+
+def test_a_reward_is_the_sum_of_its_terms() -> None:
+    terms = Terms(*(2.0**k for k in range(len(Terms._fields))))
+    assert flight.total_of_terms(terms) == sum(terms)
+    other = Terms(*[-1.0] * len(terms))
+    assert flight.choose_terms(True, terms, other) == terms
+    assert flight.choose_terms(False, terms, other) == other
+
+
+def test_observations_are_those_of_one_follower_within_bounds() -> None:
+    draw = drawn(9)
+    x, leader, own = filled(Follower, draw), 60.0 * filled(Measured, draw), filled(Measured, draw)
+    started, begin = flags(draw), filled(Vector3, draw)
+    d, seen = np.array([0.3, -0.2, 0.1]), tile(Observation, np.float32)
+    flight.show(started, x, leader, begin, own, d, seen)
+    limits, clipped = np.array(bounds(Observation)), 0
+    for lane in range(LANES):
+        known, m = lane_of(x, Follower, lane), measured_in(leader, lane)
+        anchor = m.p if started[lane] else lane_of(begin, Vector3, lane)["p"]
+        expected = flatten(
+            task.observe(
+                measured_in(own, lane), m, anchor, complex(*known["estimate"]), tuple(d),
+                known["previous"], bool(started[lane]),
+            )
+        )  # fmt: skip
+        clipped += int((np.abs(expected) > limits).sum())
+        found = seen.reshape(-1, LANES)[:, lane]
+        np.testing.assert_allclose(found, np.clip(expected, -limits, limits), 2e-6, 1e-6)
+    assert clipped > 0
+
+
+def test_neighbours_are_shown_as_one_sees_them_and_zero_where_there_is_none() -> None:
+    draw = drawn(10)
+    x, own, other = filled(Follower, draw), filled(Measured, draw), filled(task.Passing, draw)
+    number, seen = draw.integers(-1, 2, LANES).astype(float), tile(Neighbour, np.float32)
+    rows(other, task.Passing)["v"][0, :4] = 1e6
+    flight.show_neighbour(number, x, own, other, seen)
+    for lane in range(LANES):
+        R = complex(*lane_of(x, Follower, lane)["estimate"])
+        m = measured_in(own, lane)
+        there = task.Passing(**lane_of(other, task.Passing, lane))
+        on = bool(number[lane] >= 0.0)
+        expected = np.array(flatten(task.observe_neighbour(task.Passing(m.p, m.v), there, R, on)))
+        limits = np.array(bounds(Neighbour))
+        found = seen.reshape(-1, LANES)[:, lane]
+        np.testing.assert_allclose(found, np.clip(expected, -limits, limits), 2e-6, 1e-6)
+        assert on or not np.any(found)
+
+
+def test_many_vehicles_fly_in_plain_python(tmp_path: Path) -> None:
+    """No loop reads what an array does not hold: compiled, such a read would go unnoticed."""
+    program = (
+        "import sys, numpy as np; from formation_env.env import FormationEnv\n"
+        "env = FormationEnv(scenario='swarm', followers=32, neighbours=3); env.reset(seed=0)\n"
+        "for _ in range(2): seen = env.step(np.zeros(128, np.float32))[0]\n"
+        "np.save(sys.argv[1], seen)"
+    )
+    seen = []
+    for plain in ("0", "1"):
+        path = tmp_path / f"{plain}.npy"
+        subprocess.run(
+            [sys.executable, "-W", "ignore::RuntimeWarning", "-c", program, str(path)],
+            env={**os.environ, "NUMBA_DISABLE_JIT": plain},
+            check=True,
+        )
+        seen.append(np.load(path))
+    np.testing.assert_allclose(seen[0], seen[1], 1e-5, 1e-6)
