@@ -74,6 +74,8 @@ def advance(
     member 0 until none has come for a while. They do not wait for long, so the caller has to have seen
     to the actions, with `first_bad_action`, before it wakes them.
     """
+    # Views that are not counted: counting them in every function costs more than some of these do.
+    memory, room = carve(memory, 0, (len(memory),)), carve(room, 0, (len(room),))
     if desk == 0:
         bad = bad_action(mode, actions, memory)
         if bad >= 0:
