@@ -195,42 +195,43 @@ def test_in_the_air_a_vehicle_kept_above_the_floor_flies_the_same(actuation: int
         flight.clear_touch(touch)
         for _ in range(4):
             flight.fly(command, high, push, 0.005, actuation, frame)
-            before = low.copy()
-            flight.fly(command, low, push, 0.005, actuation, frame)
-            flight.land(low, before, touch)
+            flight.fly_low(command, low, push, touch, 0.005, actuation, frame)
         np.testing.assert_array_equal(high, low)
         assert not rows(touch, Touch)["speed"].any()
         assert not rows(touch, Touch)["touching"].any()
 
 
-def test_a_vehicle_that_lands_is_kept_and_its_hardest_touch_down_noted() -> None:
+@pytest.mark.parametrize("actuation", [MOMENT, RATES])
+def test_a_vehicle_that_lands_is_kept_and_its_hardest_touch_down_noted(actuation: int) -> None:
     """As `quadrotor.touch_floor` keeps one alone; a softer one later leaves the speed and the attitude."""
-    draw = drawn(6)
-    before = filled(Measured, draw)
-    body = filled(Measured, draw)
-    touch = tile(Touch)
+    draw, h = drawn(6), 0.005
+    frame = configure("nominal").vehicle.airframe()
+    body, command = filled(Measured, draw), np.abs(filled(Wrench, draw))
+    rows(body, Measured)["p"][2] *= 0.01
+    touch, push = tile(Touch), filled(Vector3, draw)
     noted = rows(touch, Touch)
     noted["speed"][:] = draw.choice([0.0, 0.5, 5.0, np.inf], LANES)
     noted["uprightness"][:] = draw.uniform(-1.0, 1.0, LANES)
     noted["touching"][:] = draw.integers(0, 2, LANES)
     was, x = touch.copy(), body.copy()
-    flight.land(x, before, touch)
+    flight.fly_low(command, x, push, touch, h, actuation, line(frame))
     landed = 0
     for lane in range(LANES):
-        states = [measured_in(one, lane) for one in (body, before)]
-        kept, contact = quadrotor.touch_floor(*(Body(m.p, m.v, m.q, m.w) for m in states))
-        after, old, new = (
-            measured_in(x, lane),
-            lane_of(was, Touch, lane),
-            lane_of(touch, Touch, lane),
-        )
+        m = measured_in(body, lane)
+        state, applied = Body(m.p, m.v, m.q, m.w), Wrench(**lane_of(command, Wrench, lane))
+        a = lane_of(push, Vector3, lane)["p"]
+        flown = quadrotor.fly(state, applied, a, h, actuation, frame)
+        kept, contact = quadrotor.touch_floor(flown, state)
+        after = measured_in(x, lane)
+        old, new = lane_of(was, Touch, lane), lane_of(touch, Touch, lane)
         np.testing.assert_allclose(
-            flatten(Body(after.p, after.v, after.q, after.w)), flatten(kept), atol=1e-14
+            flatten(Body(after.p, after.v, after.q, after.w)), flatten(kept), 1e-9, 1e-12
         )
+        assert after.a == m.a
         harder = contact.touching and contact.speed > old["speed"]
-        assert new["speed"] == max(old["speed"], contact.speed)
+        np.testing.assert_allclose(new["speed"], max(old["speed"], contact.speed), rtol=1e-9)
         expected = contact.uprightness if harder else old["uprightness"]
-        np.testing.assert_allclose(new["uprightness"], expected, rtol=1e-14)
+        np.testing.assert_allclose(new["uprightness"], expected, rtol=1e-9)
         assert new["touching"] == contact.touching
         landed += contact.touching
     assert 2 < landed < LANES - 2

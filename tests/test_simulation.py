@@ -175,7 +175,10 @@ def test_an_interrupt_ends_two_stepping_threads() -> None:
         assert run.stdout.readline() == "ready\n"
         time.sleep(0.3)
         run.send_signal(signal.SIGINT)
-        _, errors = run.communicate(timeout=LONG)
+        try:
+            _, errors = run.communicate(timeout=LONG)
+        finally:
+            run.kill()
     assert "KeyboardInterrupt" in errors
 
 

@@ -150,15 +150,15 @@ def scene(seed: int) -> tuple[Named, Named, Floats, Airframe, int, int]:
     )
     x, command, _ = grounded()
     push = draw.normal(size=(3, LANES)) * draw.choice([0.0, 1.0, 30.0])
-    x["q"] = draw.normal(size=(4, LANES))
+    x["q"][:] = draw.normal(size=(4, LANES))
     x["q"][:, ::3] = np.array([0.0, 1.0, 0.0, 0.0])[:, None]  # upside down
     x["q"] /= np.linalg.norm(x["q"], axis=0)
-    x["v"] = draw.normal(size=(3, LANES)) * 10.0 ** draw.uniform(-2, 1, LANES)
+    x["v"][:] = draw.normal(size=(3, LANES)) * 10.0 ** draw.uniform(-2, 1, LANES)
     x["p"][2] = -1e6
     weight = frame.mass * GRAVITY
     command["thrust"][0] = weight * 10.0 ** draw.uniform(-1, 2, LANES) * draw.choice([-1, 1], LANES)
-    x["w"] = draw.normal(size=(3, LANES)) * draw.integers(0, 2, (3, 1))
-    command["turn"] = draw.normal(size=(3, LANES)) * 10.0 ** draw.uniform(-6, 0, LANES)
+    x["w"][:] = draw.normal(size=(3, LANES)) * draw.integers(0, 2, (3, 1))
+    command["turn"][:] = draw.normal(size=(3, LANES)) * 10.0 ** draw.uniform(-6, 0, LANES)
     if actuation == MOMENT:
         command["turn"] *= np.array(frame.inertia)[:, None] / h
     else:
@@ -220,10 +220,10 @@ def test_the_verdict_is_that_of_the_proof(substeps: int) -> None:
         z, g = found.room / (1.0 - 1e-9) + found.gain, found.gain
         x, command, push = grounded()
         x["q"][0], x["p"][2] = 1.0, -1e6
-        x["w"] = draw.normal(size=(3, LANES)) * draw.choice([0.0, 1.0], LANES)
+        x["w"][:] = draw.normal(size=(3, LANES)) * draw.choice([0.0, 1.0], LANES)
         x["w"] *= z / (h * np.sqrt((J / J.min() * x["w"] ** 2).sum(axis=0)) + 1e-300)
         x["w"] *= draw.uniform(0.0, 1.0, LANES)
-        command["turn"] = draw.normal(size=(3, LANES))
+        command["turn"][:] = draw.normal(size=(3, LANES))
         effect = h**2 * (np.abs(command["turn"]) / np.sqrt(J * J.min())).sum(axis=0)
         command["turn"] *= z * draw.uniform(0.0, 1.2 / (substeps + 1), LANES) / effect
         s = h**2 * (J / J.min() * x["w"] ** 2).sum(axis=0)
@@ -321,7 +321,7 @@ def test_in_ordinary_flight_it_is_certain() -> None:
         x, command, push = grounded()
         x["q"][0], x["p"][2], x["v"][2], command["thrust"][0] = 1.0, -1.0, 5.0, frame.thrust_max
         x["w"][0] = np.linspace(-30.0, 30.0, LANES)
-        command["turn"] = np.array(frame.moment_max if actuation == MOMENT else frame.rate_max)[
+        command["turn"][:] = np.array(frame.moment_max if actuation == MOMENT else frame.rate_max)[
             :, None
         ]
         assert certain(x, command, push, frame, 4, actuation).all()
