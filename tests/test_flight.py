@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from numba import config as numba_config
 from states import filled, lane_of, line, measured_in, tile
 
 from formation_env import Limits, Rewards, configure, flight, quadrotor, task
@@ -528,6 +529,7 @@ def test_neighbours_are_shown_as_one_sees_them_and_zero_where_there_is_none() ->
         assert on or not np.any(found)
 
 
+@pytest.mark.skipif(bool(numba_config.DISABLE_JIT), reason="all tests are in plain Python")
 def test_many_vehicles_fly_in_plain_python(tmp_path: Path) -> None:
     """No loop reads what an array does not hold: compiled, such a read would go unnoticed."""
     program = (

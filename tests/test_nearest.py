@@ -26,6 +26,11 @@ from formation_env.nearest import (
 )
 from formation_env.so3 import dot, sub
 
+# Without the compiler NumPy tells of infinity minus infinity, and of squares that overflow.
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:(invalid value|overflow|divide by zero) encountered:RuntimeWarning"
+)
+
 
 @kernel
 def _nearest(points: Any, room: Any, K: int, squares: Any, numbers: Any) -> None:
