@@ -131,14 +131,13 @@ def test_one_kind_of_noise_leaves_the_others_exact(field: str) -> None:
             np.testing.assert_array_equal(alone[entry], exact[entry])
 
 
-@pytest.mark.parametrize("scenario", ["paper", "nominal"])
-def test_noise_in_all_lanes_is_that_of_one_vehicle(scenario: str) -> None:
+def test_noise_in_all_lanes_is_that_of_one_vehicle() -> None:
     """`measure_with_noise`, in steps over all lanes, against `sensors.corrupt`, bit for bit.
 
     But for the acceleration: with or without noise to be added, its sum is fused in another way.
     """
     noise, who = Noise(0.2, 0.1, 0.01, 0.3, 0.02), 2
-    flight = begin(configure(scenario, noise=noise), 20)[0]
+    flight = begin(configure(noise=noise), 20)[0]
     memory, room, draw = flight._memory, flight._rooms[0], np.random.default_rng(4)
     views, rooms = arrays.MEMORY.views(memory), arrays.ROOM.views(room)
     x, keys = views["vehicles"][1, who], views["episode_keys"][1]
