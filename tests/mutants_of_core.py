@@ -14,7 +14,7 @@ CORE = [
     Mutant("records", "there.stop - there.start != size(one)", "there.stop - there.start < 0"),
     Mutant("records", "found += range(there.start, there.stop)",
            "found += range(there.stop - 1, there.start - 1, -1)"),
-    Mutant("records", "if kind is layout or not is_record(kind)", "if not is_record(layout)"),
+    Mutant("records", "if kind is layout or not is_record(kind)", "if is_record(kind)"),
     Mutant("records", "for _ in range(size(one)))", "for _ in range(1))"),
     Mutant("records", "return [value.real, value.imag]", "return [value.imag, value.real]"),
     Mutant("records", "return reads.pop(0)", "return reads.pop()"),
@@ -46,8 +46,6 @@ CORE = [
     Mutant("store", "if rest:", "if not words:"),
     # Loops made from laws: arguments, what is stored where, constants, conditions, sums.
     Mutant("tiles", 'return f"({name}[lane] > 0.0)"', 'return f"({name}[lane] >= 0.0)"'),
-    Mutant("tiles", "kind is float or kind is int:", "kind is float:"),
-    Mutant("tiles", "layout is FLAGS or", ""),
     Mutant("tiles", "loader(kind, layout)", "loader(kind)"),
     Mutant("tiles", "keeper(kind, layout)", "keeper(kind)"),
     Mutant("tiles", "storer(kind, layout, self.bounds)", "storer(kind, layout)"),

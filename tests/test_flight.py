@@ -32,7 +32,7 @@ from formation_env.sensors import Measured, truth
 from formation_env.slots import advance_heading
 from formation_env.task import LEADER, NO_FAILURE, Neighbour, Observation, Outcome, Terms
 from formation_env.trajectories import TrajectoryPoint
-from formation_env.turning import turning
+from formation_env.turning import slow_by_moment, slow_by_rates, stays_up, turning
 from formation_env.world import Action, follow, motion, track
 
 Floats = npt.NDArray[np.float64]
@@ -262,6 +262,38 @@ def test_lanes_may_meet_the_floor_each_for_itself() -> None:
         for actuation in (MOMENT, RATES):
             rest = tile(Wrench), np.zeros(3 * LANES), active, *constants, actuation
             assert flight.count_landing(x, *rest) == (low & (active > 0.0)).sum()
+
+
+@pytest.mark.parametrize("actuation", [MOMENT, RATES])
+def test_the_floor_is_looked_out_for_where_the_bounds_do_not_exclude_it(actuation: int) -> None:
+    """Lane by lane what `turning` says of height, fall, thrust, push and turn; none of them alone decides."""
+    config = configure()
+    frame, clock = config.vehicle.airframe(), config.world.clock._replace(substeps=3)
+    turns = turning(frame, clock.period, clock.substeps)
+    constants, excluded = (line(clock), line(frame), line(turns)), []
+    for seed in range(20):
+        draw = drawn(seed)
+        x, command, push = filled(Measured, draw), filled(Wrench, draw), filled(Vector3, draw)
+        rows(x, Measured)["p"][2] = -(10.0 ** draw.uniform(-3.0, 0.0, LANES))
+        rows(x, Measured)["v"][:2] *= 30.0
+        rows(x, Measured)["w"][:] *= 10.0 ** draw.uniform(-1.0, 2.5, LANES)
+        rows(command, Wrench)["turn"][:] *= 0.1 if actuation == MOMENT else 100.0
+        push *= 30.0
+        for lane in range(LANES):
+            m, applied = measured_in(x, lane), Wrench(**lane_of(command, Wrench, lane))
+            fall = lane_of(push, Vector3, lane)["p"][2]
+            up = stays_up(m.p[2], m.v[2], applied.thrust, fall, clock.period, frame.mass)
+            if actuation == MOMENT:
+                slow = slow_by_moment(m.w, applied.turn, turns)
+            else:
+                h = clock.period / clock.substeps
+                slow = slow_by_rates(m.w, applied.turn, h, frame.rate_lag)
+            active = np.zeros(LANES)
+            active[lane] = 1.0
+            found = flight.count_landing(x, command, push, active, *constants, actuation)
+            assert found == (not (up and slow))
+            excluded.append((bool(up), bool(slow)))
+    assert min(excluded.count((up, slow)) for up in (True, False) for slow in (True, False)) > 10
 
 
 @pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")  # without the compiler

@@ -1,10 +1,8 @@
-"""Action levels: encoding undoes decoding, and whatever lists the levels derives from the table."""
+"""Action levels: encoding undoes decoding, and a tile's loops do what the rows of the table say."""
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from states import filled, lane_of, line, tile
 
-from baselines import files
-from baselines.policies import tuned
-from baselines.scoring import options as scoring
-from formation_env import config as configuration
 from formation_env import configure, levels, task
 from formation_env.arrays import rows
 from formation_env.levels import (
@@ -45,7 +39,6 @@ from formation_env.slots import Slot, in_frame
 from formation_env.so3 import Vector
 from formation_env.trajectories import TrajectoryPoint
 from formation_env.world import Action, Reach
-from train import options as training
 
 LEVEL = pytest.mark.parametrize("level", LEVELS, ids=NAMES)
 ACTIONS = st.tuples(*[numbers(1.0)] * 4)
@@ -117,9 +110,6 @@ def test_a_row_of_the_table_is_sound(level: Level) -> None:
         assert np.isfinite(bounds(level.view)).all()
 
 
-# -- what lists the levels derives from the table ----------------------------------------------------------
-
-
 @LEVEL
 def test_a_configuration_has_what_its_level_says(level: Level) -> None:
     config = configure(action=level.name)
@@ -132,35 +122,6 @@ def test_a_configuration_has_what_its_level_says(level: Level) -> None:
     assert flight._state.followers.shape[-1] == size(follower_layout(level.state)) * LANES
     if level.actuation is not None:
         assert config.world.follower_actuation == level.actuation
-
-
-def test_what_lists_the_levels_has_those_of_the_table() -> None:
-    assert tuple(configuration._CHOICES["action"]) == NAMES
-    assert tuple(files.LEVELS) == tuple(tuned.LEVELS) == tuple(scoring.LEVELS) == NAMES
-    assert {level.name: level.exploration for level in LEVELS} == training.STD
-    (option,) = (
-        one for one in get_args(get_type_hints(training.RunOptions)["action"]) if get_args(one)
-    )
-    assert get_args(option) == NAMES
-    with pytest.raises(ValueError, match=r"action = 'flap': expected .*" + ".*".join(NAMES)):
-        configure(action="flap")
-
-
-@pytest.mark.parametrize("package", ["formation_env", "baselines", "train"])
-def test_no_list_of_the_levels_is_written_by_hand(package: str, root: Path) -> None:
-    """A tuple, list, set or dictionary that names all of them stands in the table alone.
-
-    But for the type of an option, which type checkers do not compute.
-    """
-    listed = r"(?<!Literal)[(\[{][^()\[\]{}]*" + r"[^()\[\]{}]*".join(
-        f"[\"']{name}[\"']" for name in NAMES
-    )
-    found = []
-    for path in sorted((root / package).rglob("*.py")):
-        text = path.read_text(encoding="utf-8")
-        for hit in re.finditer(listed, text):
-            found.append(f"{path.relative_to(root)}:{text.count(chr(10), 0, hit.start()) + 1}")
-    assert not found
 
 
 # -- over the lanes of a tile -------------------------------------------------------------------------------

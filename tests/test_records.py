@@ -15,7 +15,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import pytest
 from closed_loop import PROPERTY
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from numba import config as numba_config
 
@@ -222,6 +222,8 @@ def test_a_field_that_the_layout_lacks_is_named(make: Any) -> None:
 
 @PROPERTY
 @given(st.tuples(*[st.floats()] * 3))
+@example((math.nan, -math.inf, math.nan))
+@example((2.5, math.inf, -0.75))
 def test_stored_numbers_are_clipped_to_bounds_and_what_is_none_to_the_lower(given: Any) -> None:
     store = records.storer(Bounded, bounds=(2.0, 2.0, 0.5))
     x = np.zeros(records.size(Bounded) * LANES)
@@ -295,7 +297,8 @@ def test_functions_are_made_once() -> None:
 def test_generated_code_can_be_read() -> None:
     """In `linecache`, where tracebacks, `inspect` and the debugger find it; each under its own name."""
     files = set()
-    for function in (records.loader(Mixed), records.storer(Mixed), records.loader(Part, Larger)):
+    made = [records.loader(Mixed), records.storer(Mixed), records.loader(Part, Larger)]
+    for function in (*made, records.loader(Part)):
         code = plain(function).__code__
         lines = linecache.getlines(code.co_filename)
         assert lines[0].startswith(f"def {code.co_name}(")
@@ -303,7 +306,7 @@ def test_generated_code_can_be_read() -> None:
         files.add(code.co_filename)
         linecache.checkcache()
         assert linecache.getlines(code.co_filename) == lines
-    assert len(files) == 3
+    assert len(files) == 4
     assert "row_" in "".join(inspect.getsource(plain(records.loader(Part, Larger))))
 
 

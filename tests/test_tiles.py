@@ -149,7 +149,7 @@ def test_uniform_arguments_are_the_same_in_all_lanes() -> None:
 
 def turned(x: Small, way: int, times: int) -> Small:
     if way == 2:
-        return Small(-x.a, x.pair)
+        return Small(-x.a * times, x.pair)
     return Small(x.a * times + way, (x.pair[1], x.pair[0]))
 
 
