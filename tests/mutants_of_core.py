@@ -133,7 +133,6 @@ CORE = [
     Mutant("flight", "return Headings(R, R)", "return Headings(R, x.estimate)"),
     Mutant("flight", "pick_vector(started, leader.p, begin) v_L",
            "pick_vector(started, begin, leader.p)\n    v_L"),
-    Mutant("flight", "pick_vector(started, leader.v, ZERO)", "pick_vector(started, leader.v, leader.v)"),
     Mutant("flight", "error, apart = sub(target.p, own.p)", "error, apart = sub(own.p, target.p)"),
     Mutant("flight", "sub(own.p, leader.p) return", "sub(own.p, begin)\n    return"),
     Mutant("flight", "Separation(min(squares.separation, dot(e, e)))", "Separation(dot(e, e))"),

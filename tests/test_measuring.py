@@ -32,7 +32,12 @@ SCENES: dict[str, dict[str, Any]] = {
     "noisy": {"noise": NOISE},
     "late": {"noise": NOISE, "measurement_delay": 2},
     "seldom": {"noise": NOISE, "measurement_period": 0.03, "measurement_delay": 1},
-    "differenced": {"estimator": "differenced", "window": 3, "measurement_delay": 1},
+    "differenced": {
+        "estimator": "differenced",
+        "window": 3,
+        "measurement_delay": 1,
+        "measurement_period": 0.01,
+    },
     "quiet": {"measurement_delay": 1},
 }
 
