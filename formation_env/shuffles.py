@@ -25,12 +25,12 @@ _BYTES = 64  # of a vector, and of a line of the cache
 _LANES = np.uint64(LANES)
 
 
-def _data(context: Any, builder: Any, signature: Any, arguments: Any, k: int) -> Any:
+def data_of(context: Any, builder: Any, signature: Any, arguments: Any, k: int) -> Any:
     """A pointer to the numbers of an array among the arguments."""
     return arrayobj.make_array(signature.args[k])(context, builder, arguments[k]).data
 
 
-def _word(context: Any, builder: Any, signature: Any, arguments: Any, k: int) -> Any:
+def word_of(context: Any, builder: Any, signature: Any, arguments: Any, k: int) -> Any:
     """A whole number among the arguments, as int64."""
     return context.cast(builder, arguments[k], signature.args[k], types.int64)
 
@@ -56,8 +56,8 @@ def lengths_of(context: Any, builder: Any, shape: Any, value: Any) -> list[Any]:
 
 
 def _build_carve(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    start = _word(context, builder, signature, arguments, 1)
-    first = builder.gep(_data(context, builder, signature, arguments, 0), [start])
+    start = word_of(context, builder, signature, arguments, 1)
+    first = builder.gep(data_of(context, builder, signature, arguments, 0), [start])
     lengths = lengths_of(context, builder, signature.args[2], arguments[2])
     return view_of(context, builder, signature.return_type, first, lengths)
 
@@ -125,7 +125,7 @@ def _build_turn_square(context: Any, builder: Any, signature: Any, arguments: An
     size, word = _BYTES // width, context.get_value_type(types.int64)
     given = (context, builder, signature, arguments)
     tile, at, sink, to, stride = (
-        _data(*given, k) if k in (0, 2) else _word(*given, k) for k in range(5)
+        data_of(*given, k) if k in (0, 2) else word_of(*given, k) for k in range(5)
     )
     rows = []
     for k in range(width):
@@ -150,8 +150,8 @@ def _build_turn_lines(context: Any, builder: Any, signature: Any, arguments: Any
     width, number = _width(signature.args[0]), context.get_data_type(signature.args[0].dtype)
     size, word = _BYTES // width, context.get_value_type(types.int64)
     given = (context, builder, signature, arguments)
-    lines, starts, tile = (_data(*given, k) for k in (0, 1, 4))
-    first, row = _word(*given, 2), _word(*given, 3)
+    lines, starts, tile = (data_of(*given, k) for k in (0, 1, 4))
+    first, row = word_of(*given, 2), word_of(*given, 3)
     rows = []
     for k in range(width):
         start = builder.load(builder.gep(starts, [builder.add(first, word(k))]))
@@ -189,7 +189,7 @@ def _build_turn_fours(context: Any, builder: Any, signature: Any, arguments: Any
     number, word = ir.FloatType(), context.get_value_type(types.int64)
     given = (context, builder, signature, arguments)
     source, at, stride, sink = (
-        _data(*given, k) if k in (0, 3) else _word(*given, k) for k in range(4)
+        data_of(*given, k) if k in (0, 3) else word_of(*given, k) for k in range(4)
     )
     mixed = []
     for lane in range(LANES):
@@ -220,8 +220,8 @@ def turn_fours(source: Any, at: int, stride: int, sink: Any) -> None:
 
 
 def _build_fetch_line(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    at = _word(context, builder, signature, arguments, 1)
-    pointer = builder.gep(_data(context, builder, signature, arguments, 0), [at])
+    at = word_of(context, builder, signature, arguments, 1)
+    pointer = builder.gep(data_of(context, builder, signature, arguments, 0), [at])
     number = ir.IntType(32)
     kind = ir.FunctionType(ir.VoidType(), [pointer.type, number, number, number])
     prefetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
