@@ -19,40 +19,11 @@ from numba.core import cgutils
 from numba.np import arrayobj
 
 from formation_env._jit import builtin, device, loop
+from formation_env.lowering import data_of, lengths_of, view_of, word_of
 from formation_env.records import LANES
 
 _BYTES = 64  # of a vector, and of a line of the cache
 _LANES = np.uint64(LANES)
-
-
-def data_of(context: Any, builder: Any, signature: Any, arguments: Any, k: int) -> Any:
-    """A pointer to the numbers of an array among the arguments."""
-    return arrayobj.make_array(signature.args[k])(context, builder, arguments[k]).data
-
-
-def word_of(context: Any, builder: Any, signature: Any, arguments: Any, k: int) -> Any:
-    """A whole number among the arguments, as int64."""
-    return context.cast(builder, arguments[k], signature.args[k], types.int64)
-
-
-def view_of(context: Any, builder: Any, view: Any, data: Any, lengths: list[Any]) -> Any:
-    """A C-contiguous array of type `view` at a pointer; it owns nothing and is not counted."""
-    block = arrayobj.make_array(view)(context, builder)
-    word = context.get_value_type(types.intp)
-    size = word(context.get_abi_sizeof(context.get_data_type(view.dtype)))
-    strides = [size]
-    for length in lengths[:0:-1]:
-        strides.insert(0, builder.mul(strides[0], length))
-    arrayobj.populate_array(block, data, lengths, strides, size, None)
-    return block._getvalue()
-
-
-def lengths_of(context: Any, builder: Any, shape: Any, value: Any) -> list[Any]:
-    """The whole numbers of a tuple."""
-    return [
-        context.cast(builder, builder.extract_value(value, k), kind, types.intp)
-        for k, kind in enumerate(shape)
-    ]
 
 
 def _build_carve(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
