@@ -1,4 +1,4 @@
-"""What it costs that nobody knows the third and fourth derivatives of the planner's reference.
+"""What it costs that the third and fourth derivatives of the planner's reference are not measured.
 
 The tracker wants four derivatives (67), the planner gives two (35). The others are set to zero, as in
 the paper's experiment, or derived from the law with the leader's jerk and snap taken as zero, or
@@ -7,7 +7,7 @@ derived exactly, which only the trajectory itself allows.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,16 +15,14 @@ from baselines.reproduction import sampled
 from baselines.reproduction.claims import Cost
 from baselines.reproduction.continuous import (
     AIRFRAME,
-    BODY,
     EIGHT,
     PLANNER,
     TRACKER,
-    body_of,
     fields_of,
     flown,
     grid,
     integrate,
-    put_body,
+    unit_attitude,
     vector,
 )
 from formation_env._jit import device, kernel
@@ -52,13 +50,20 @@ def _fed(
     """The reference of a virtual follower with its higher derivatives made in one of three ways."""
     if mode == ZERO_FED:
         return planner_trajectory_point(f, leader, d, law)
-    if mode == DERIVED:  # nobody measures the leader's jerk and snap
+    if mode == DERIVED:  # the leader's jerk and snap are not measured
         leader = TrajectoryPoint(leader.p, leader.v, leader.a, ZERO, ZERO)
     return full_trajectory_point(f, leader, d, law)
 
 
-_read_follower, _write_follower = line_loader(Virtual), line_storer(Virtual)
-_FOLLOWER = size(Virtual)
+class Pair(NamedTuple):
+    """The state that is integrated."""
+
+    follower: Virtual
+    vehicle: Body
+
+
+_NUMBERS = size(Pair)
+_read_pair, _write_pair = line_loader(Pair), line_storer(Pair)
 
 
 @kernel
@@ -75,11 +80,11 @@ def _pair_rate(
 ) -> Floats:
     """A virtual follower and the quadrotor that flies along it."""
     leader = evaluate(kind, table, t)
-    f = _read_follower(y)
+    pair = _read_pair(y)
+    follower = planner_derivative(pair.follower, leader, vector(d), planner)
+    ref = _fed(pair.follower, leader, vector(d), planner, mode)
     rate = np.empty_like(y)
-    _write_follower(rate, planner_derivative(f, leader, vector(d), planner))
-    ref = _fed(f, leader, vector(d), planner, mode)
-    put_body(rate[_FOLLOWER:], flown(body_of(y[_FOLLOWER:]), ref, airframe, law))
+    _write_pair(rate, Pair(follower, flown(unit_attitude(pair.vehicle), ref, airframe, law)))
     return rate
 
 
@@ -89,9 +94,8 @@ def _pair_start(kind: int, table: Floats, d: Floats, planner: PlannerLaw, world:
     leader = evaluate(kind, table, 0.0)
     v = plane(leader.v)
     f = place(leader.p, leader.v, vector(d), v / abs(v), True)
-    y = np.empty(_FOLLOWER + BODY)
-    _write_follower(y, f)
-    put_body(y[_FOLLOWER:], trimmed(full_trajectory_point(f, leader, vector(d), planner), world))
+    y = np.empty(_NUMBERS)
+    _write_pair(y, Pair(f, trimmed(full_trajectory_point(f, leader, vector(d), planner), world)))
     return y
 
 
@@ -116,8 +120,8 @@ def tracking_error(mode: int, d: Vector, world: World, duration: float = 60.0) -
         TRACKER.law(),
         mode,
     )
-    late = y[t >= min(20.0, 0.5 * duration)]
-    virtual, vehicle = fields_of(Virtual, late), fields_of(Body, late[:, _FOLLOWER:])
+    late = fields_of(Pair, y[t >= min(20.0, 0.5 * duration)])
+    virtual, vehicle = fields_of(Virtual, late["follower"]), fields_of(Body, late["vehicle"])
     gap = vehicle["p"] - np.column_stack([virtual["p"], virtual["z"]])
     return float(np.sqrt((gap**2).sum(axis=1).mean()))
 
