@@ -79,7 +79,7 @@ class FlightErrors(NamedTuple):
 _read_planar, _write_planar = line_loader(PlanarState), line_storer(PlanarState)
 _PLANAR = size(PlanarState)
 _write_planar_errors, _PLANAR_ERRORS = line_storer(PlanarErrors), size(PlanarErrors)
-_read_body, _write_body = line_loader(Body), line_storer(Body)
+_read_body, put_body, BODY = line_loader(Body), line_storer(Body), size(Body)
 _write_flight_errors, _FLIGHT_ERRORS = line_storer(FlightErrors), size(FlightErrors)
 
 
@@ -198,8 +198,9 @@ def planar(duration: float = 60.0, step: float = 0.02, path: Trajectory = EIGHT)
 
 
 @device
-def unit_attitude(b: Body) -> Body:
-    """The exact flow keeps the quaternion's length; this takes off what the integrator adds."""
+def body_of(y: Any) -> Body:
+    """The vehicle of a line of numbers; normalising takes off what the integrator adds to `|q| = 1`."""
+    b = _read_body(y)
     return Body(b.p, b.v, normalise(b.q), b.w)
 
 
@@ -222,7 +223,7 @@ def _flight_rate(
 ) -> Floats:
     """A quadrotor flown along the trajectory, whose four derivatives are exact."""
     rate = np.empty_like(y)
-    _write_body(rate, flown(unit_attitude(_read_body(y)), evaluate(kind, table, t), airframe, law))
+    put_body(rate, flown(body_of(y), evaluate(kind, table, t), airframe, law))
     return rate
 
 
@@ -234,7 +235,7 @@ def _flight_history(
     out = np.empty((len(t), _FLIGHT_ERRORS))
     for k in range(len(t)):
         ref = evaluate(kind, table, t[k])
-        m = _motion(unit_attitude(_read_body(y[k])))
+        m = _motion(body_of(y[k]))
         v = certificate(m, ref, law)
         e = tracker_errors(m, ref, law)
         thrust = torque(m, ref, airframe.mass, law).thrust

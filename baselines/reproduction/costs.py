@@ -7,7 +7,7 @@ derived exactly, which only the trajectory itself allows.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -15,14 +15,16 @@ from baselines.reproduction import sampled
 from baselines.reproduction.claims import Cost
 from baselines.reproduction.continuous import (
     AIRFRAME,
+    BODY,
     EIGHT,
     PLANNER,
     TRACKER,
+    body_of,
     fields_of,
     flown,
     grid,
     integrate,
-    unit_attitude,
+    put_body,
     vector,
 )
 from formation_env._jit import device, kernel
@@ -55,15 +57,8 @@ def _fed(
     return full_trajectory_point(f, leader, d, law)
 
 
-class Pair(NamedTuple):
-    """The state that is integrated."""
-
-    follower: Virtual
-    vehicle: Body
-
-
-_NUMBERS = size(Pair)
-_read_pair, _write_pair = line_loader(Pair), line_storer(Pair)
+_read_follower, _write_follower = line_loader(Virtual), line_storer(Virtual)
+_FOLLOWER = size(Virtual)
 
 
 @kernel
@@ -80,11 +75,11 @@ def _pair_rate(
 ) -> Floats:
     """A virtual follower and the quadrotor that flies along it."""
     leader = evaluate(kind, table, t)
-    pair = _read_pair(y)
-    follower = planner_derivative(pair.follower, leader, vector(d), planner)
-    ref = _fed(pair.follower, leader, vector(d), planner, mode)
+    f = _read_follower(y)
     rate = np.empty_like(y)
-    _write_pair(rate, Pair(follower, flown(unit_attitude(pair.vehicle), ref, airframe, law)))
+    _write_follower(rate, planner_derivative(f, leader, vector(d), planner))
+    ref = _fed(f, leader, vector(d), planner, mode)
+    put_body(rate[_FOLLOWER:], flown(body_of(y[_FOLLOWER:]), ref, airframe, law))
     return rate
 
 
@@ -94,8 +89,9 @@ def _pair_start(kind: int, table: Floats, d: Floats, planner: PlannerLaw, world:
     leader = evaluate(kind, table, 0.0)
     v = plane(leader.v)
     f = place(leader.p, leader.v, vector(d), v / abs(v), True)
-    y = np.empty(_NUMBERS)
-    _write_pair(y, Pair(f, trimmed(full_trajectory_point(f, leader, vector(d), planner), world)))
+    y = np.empty(_FOLLOWER + BODY)
+    _write_follower(y, f)
+    put_body(y[_FOLLOWER:], trimmed(full_trajectory_point(f, leader, vector(d), planner), world))
     return y
 
 
@@ -120,8 +116,8 @@ def tracking_error(mode: int, d: Vector, world: World, duration: float = 60.0) -
         TRACKER.law(),
         mode,
     )
-    late = fields_of(Pair, y[t >= min(20.0, 0.5 * duration)])
-    virtual, vehicle = fields_of(Virtual, late["follower"]), fields_of(Body, late["vehicle"])
+    late = y[t >= min(20.0, 0.5 * duration)]
+    virtual, vehicle = fields_of(Virtual, late), fields_of(Body, late[:, _FOLLOWER:])
     gap = vehicle["p"] - np.column_stack([virtual["p"], virtual["z"]])
     return float(np.sqrt((gap**2).sum(axis=1).mean()))
 
