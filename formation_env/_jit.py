@@ -26,6 +26,7 @@ from numba import njit
 from numba.core import event, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.typed_passes import NopythonRewrites
 from numba.extending import lower_builtin, type_callable
 
 _types: Any = types
@@ -115,6 +116,9 @@ class _LinkedCompiler(Compiler):  # type: ignore[misc]
 
     def define_pipelines(self) -> Any:
         pipelines = super().define_pipelines()
+        for pipeline in pipelines:
+            # Expressions of whole arrays, which kernels do not contain.
+            pipeline.passes = [one for one in pipeline.passes if one[0] is not NopythonRewrites]
         state = self.state
         state.library = self.library(state.targetctx.codegen(), state.func_id.func_qualname)
         return pipelines

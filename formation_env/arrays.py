@@ -164,7 +164,6 @@ command = _field("commands", lambda z: (z.vehicles, size(Wrench) * LANES))
 push = _field(
     "pushes", lambda z: (z.vehicles, 3 * LANES)
 )  # m/s^2, of all disturbances in this tick
-before = _field("before", lambda z: (size(Measured) * LANES,))  # one vehicle, a substep ago
 touch = _field("touches", lambda z: (z.vehicles, size(Touch) * LANES))
 outcome = _field("outcomes", lambda z: (z.vehicles - 1, size(Outcome) * LANES))
 squares = _field("squares", lambda z: (z.vehicles - 1, size(Squares) * LANES))

@@ -169,9 +169,17 @@ fly = over_lanes(move, into=("body",), uniform=("h", "airframe"), static=_ACTUAT
 
 
 @device
-def keep_above(body: Body, before: Body, touch: Touch) -> tuple[Body, Touch]:
-    """A vehicle that has flown for a substep, kept above the floor; in the air bit for bit the same."""
-    kept, contact = touch_floor(body, before)
+def move_low(
+    applied: Wrench,
+    body: Body,
+    push: Vector,
+    touch: Touch,
+    h: float,
+    actuation: int,
+    airframe: Airframe,
+) -> tuple[Body, Touch]:
+    """The same close to the floor, on which the vehicle is kept; in the air bit for bit the same."""
+    kept, contact = touch_floor(move(applied, body, push, h, actuation, airframe), body)
     harder = contact.touching & (contact.speed > touch.speed)
     return kept, Touch(
         max(touch.speed, pick(contact.speed < np.inf, contact.speed, np.inf)),
@@ -180,7 +188,9 @@ def keep_above(body: Body, before: Body, touch: Touch) -> tuple[Body, Touch]:
     )
 
 
-land = over_lanes(keep_above, into=("body", "touch"), body=Measured, before=Measured)
+fly_low = over_lanes(
+    move_low, into=("body", "touch"), uniform=("h", "airframe"), static=_ACTUATION, body=Measured
+)
 
 
 @device
@@ -226,7 +236,7 @@ class Hardest(NamedTuple):
 
 @device
 def soundness(body: Body, touch: Touch) -> Hardest:
-    """An infinite speed where a vehicle's state has left what can be computed; `keep_above` does the same."""
+    """An infinite speed where a vehicle's state has left what can be computed; `move_low` does the same."""
     q = body.q
     unit = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
     p, v, w = body.p, body.v, body.w

@@ -74,6 +74,8 @@ def advance(
     member 0 until none has come for a while. They do not wait for long, so the caller has to have seen
     to the actions, with `first_bad_action`, before it wakes them.
     """
+    # Views that are not counted: counting them in every function costs more than some of these do.
+    memory, room = carve(memory, 0, (len(memory),)), carve(room, 0, (len(room),))
     if desk == 0:
         bad = bad_action(mode, actions, memory)
         if bad >= 0:
@@ -114,7 +116,7 @@ def first_bad_action(mode: int, actions: NDArray[np.float32], memory: Floats) ->
 @kernel
 def reference_path(kind: int, table: Floats, times: Floats) -> Floats:
     """Positions of a trajectory at `times`, `(N, 3)`."""
-    path = np.empty((len(times), 3))
+    table, path = carve(table, 0, (len(table),)), np.empty((len(times), 3))
     for k in range(len(times)):
         _write_point(path[k], evaluate(kind, table, times[k]).p)
     return path
@@ -124,7 +126,7 @@ def reference_path(kind: int, table: Floats, times: Floats) -> Floats:
 @kernel
 def reference_table(kind: int, table: Floats, period: float, steps: int) -> Floats:
     """A trajectory tick by tick, `(steps + 1, LINE)`: position and four derivatives."""
-    rows = np.zeros((steps + 1, LINE))
+    table, rows = carve(table, 0, (len(table),)), np.zeros((steps + 1, LINE))
     for k in range(steps + 1):
         _write_reference(rows[k], evaluate(kind, table, k * period))
     return rows

@@ -18,7 +18,7 @@ from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hi
 
 import numpy as np
 
-from formation_env._jit import device
+from formation_env._jit import step
 
 LANES = 16  # worlds side by side in a tile: two vectors of doubles, one of single precision
 
@@ -179,7 +179,7 @@ def define(name: str, source: str, names: dict[str, Any]) -> Any:
 def _function(verb: str, kind: Any, arguments: str, body: list[str], names: dict[str, Any]) -> Any:
     what = kind.__name__ if is_record(kind) else "".join(c for c in str(kind) if c.isalnum())
     source = f"def {verb}_{what}({arguments}):\n" + "".join(f"    {line}\n" for line in body)
-    return device(define(f"{verb}_{what}", source, names))
+    return step(define(f"{verb}_{what}", source, names))
 
 
 @cache

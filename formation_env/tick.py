@@ -275,10 +275,9 @@ def fly(memory: Any, room: Any, t: int) -> None:
         )
         for k in range(clock.substeps):
             if low > 0:
-                copy(x, 0, arrays.before(room), 0, _MEASURED)
-            flight.fly(applied, x, push, h, by, airframe)
-            if low > 0:
-                flight.land(x, arrays.before(room), touch)
+                flight.fly_low(applied, x, push, touch, h, by, airframe)
+            else:
+                flight.fly(applied, x, push, h, by, airframe)
             due = not aligned or k + 1 == clock.substeps
             if measuring == arrays.WHEN_DUE and due:
                 measure_when_due(memory, room, t, i, k)
@@ -483,8 +482,12 @@ def judge(memory: Any, room: Any, t: int, here: int) -> None:
     flight.conclude(count, tally, leader, active, float(n), limits, last, verdict)
     ends, worlds = ends_of(memory, room), arrays.worlds(memory)
     for k in range(_VERDICT):
-        for lane in range(here):
-            ends[k * worlds + t * LANES + lane] = verdict[k * LANES + lane]
+        first = k * worlds + t * LANES
+        if here == LANES:
+            copy_numbers(carve(verdict, k * LANES, (LANES,)), ends, first, LANES)
+        else:
+            for lane in range(here):
+                ends[first + lane] = verdict[k * LANES + lane]
 
 
 @step

@@ -15,6 +15,7 @@ from formation_env._jit import kernel
 from formation_env.checks import array, integer, number, refuse, require, shown
 from formation_env.random_paths import RandomSmooth, checked_bounds, draw
 from formation_env.references import SINES, Floats, evaluate, start_direction
+from formation_env.shuffles import carve
 from formation_env.tables import KINDS, LARGEST
 
 _NAMES = {number: name for name, number in KINDS.items()}
@@ -24,6 +25,7 @@ _FIELDS = ("name", "kind", "table", "duration", "random")
 @kernel
 def path_start(kind: int, table: Floats) -> tuple[complex, tuple[float, float, float]]:
     """`start_direction` and the first point, for Python: from the cache, as compiling takes seconds."""
+    table = carve(table, 0, (len(table),))
     return start_direction(kind, table), evaluate(kind, table, 0.0).p
 
 
@@ -34,6 +36,7 @@ def _draw_one(key: int, bounds: Floats, table: Floats) -> None:
 
 @kernel
 def _sample(kind: int, table: Floats, times: Floats, out: Floats) -> None:
+    table = carve(table, 0, (len(table),))
     for i in range(times.shape[0]):
         r = evaluate(kind, table, times[i])
         for axis in range(3):
