@@ -15,9 +15,9 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from formation_env import Limits, Rewards, configure, trajectories
+from formation_env.levels import REFERENCE
 from formation_env.simulation import Simulation
 from formation_env.task import FAILURES, LOST, NO_FAILURE, Layout, failure, reward
-from formation_env.world import REFERENCE
 
 FREE = Limits(collision=1e-3, impact=1e3, tilt=-1.0, lost=1e4)
 Floats = npt.NDArray[np.float64]
