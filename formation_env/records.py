@@ -267,7 +267,7 @@ def keeper(kind: Any, layout: Any = None) -> Any:
 
 
 def _store_rows(kind: Any, layout: Any) -> Any:
-    """What LLVM is to do to store the last argument in a lane, where the one before holds if there are four."""
+    """What LLVM is to do to store the last argument in a lane; of four where the third holds."""
     rows = rows_in(kind, layout or kind)
 
     def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

@@ -17,8 +17,8 @@ from numba import from_dtype, types
 from numpy.typing import NDArray
 
 from formation_env._jit import builtin
-from formation_env.records import define
 from formation_env.lowering import data_of, view_of, word_of
+from formation_env.records import define
 from formation_env.shuffles import carve
 
 Floats = NDArray[np.float64]

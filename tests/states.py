@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from formation_env.blocks import LANES
 
 from formation_env import FormationConfig, Vehicle, configure
-from formation_env.blocks import LANES
 from formation_env.simulation import Simulation
 
 Floats = npt.NDArray[np.float64]

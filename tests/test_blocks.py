@@ -6,10 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numba import config as numba
-
-from formation_env import kernels
-from formation_env._jit import kernel
 from formation_env.blocks import (
     LANES,
     drain,
@@ -21,6 +17,10 @@ from formation_env.blocks import (
     turn_fours,
     turn_lines,
 )
+from numba import config as numba
+
+from formation_env import kernels
+from formation_env._jit import kernel
 from formation_env.config import FormationConfig
 from formation_env.scenarios import configure
 from formation_env.simulation import Simulation

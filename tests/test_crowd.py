@@ -7,12 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.spatial import KDTree
-
-from formation_env import crowd, formations, lanes
-from formation_env._jit import kernel, plain
 from formation_env.crowd import (
     BLOCK,
     find_nearest,
@@ -22,6 +16,12 @@ from formation_env.crowd import (
     number_at,
 )
 from formation_env.memory import _crowd_length, _open_crowd, load
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import KDTree
+
+from formation_env import crowd, formations, lanes
+from formation_env._jit import kernel, plain
 from formation_env.so3 import dot, sub
 
 

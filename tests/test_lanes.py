@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-
-from formation_env import configure, lanes
 from formation_env.lanes import LANES
 from formation_env.memory import (
     ERROR_SQUARED,
@@ -22,6 +20,8 @@ from formation_env.memory import (
     HEADING,
     SEPARATION_SQUARED,
 )
+
+from formation_env import configure, lanes
 from formation_env.quadrotor import saturate
 from formation_env.sensors import Measured
 from formation_env.turning import turning

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 from episodes import wild
+from formation_env.blocks import LANES
+from formation_env.memory import CLOCK, EPISODE, OVER, STARTED, TICK
 from states import P, Q, V, W, begun, rows, still, unchecked, vehicles
 
 from formation_env import configure, kernels
-from formation_env.blocks import LANES
-from formation_env.memory import CLOCK, EPISODE, OVER, STARTED, TICK
 from formation_env.simulation import Simulation, Snapshot
 
 TASKS: dict[str, dict[str, Any]] = {

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from formation_env.lanes import LANES
 from numba import config as numba_config
 from states import P, Q, V, W, begun, still, unchecked, vehicles
 
 from formation_env import Vehicle, configure, kernels, lanes
-from formation_env.lanes import LANES
 from formation_env.quadrotor import GRAVITY, MOMENT, RATES, Airframe
 from formation_env.simulation import Simulation
 from formation_env.turning import turning

@@ -16,8 +16,8 @@ from baselines.policies.actions import corrected
 from baselines.policies.expert import Expert
 from formation_env import FormationConfig, faces
 from formation_env.arguments import Fixed, check_options, configured, whole_seed
-from formation_env.arrays import Results
 from formation_env.checks import boolean, choice, integer, number, refuse
+from formation_env.results import Results
 from formation_env.simulation import Snapshot
 from formation_env.vector import MOST_WORLDS, FormationVectorEnv
 from train.rows import EarlyEnds, central_state, follower_rewards
