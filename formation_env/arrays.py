@@ -157,7 +157,6 @@ reference = _field("reference", lambda z: (LINE * LANES,))  # the leader's, in t
 lines = _field("lines", lambda z: (LINE * LANES,))  # numbers of each world, to be turned into rows
 counts = _field("counts", lambda z: (LANES,), np.uint64)  # numbers of the samples to be taken
 line_starts = _field("line_starts", lambda z: (LANES,), np.int64)  # where each world's line begins
-given = _field("given", lambda z: (size(Action) * LANES,), np.float32)  # actions of one follower
 draws = _field("draws", lambda z: (size(Measured) * LANES,), np.float32)  # normal numbers
 action = _field("actions", lambda z: (z.vehicles - 1, size(Action) * LANES))  # as executed
 command = _field("commands", lambda z: (z.vehicles, size(Wrench) * LANES))

@@ -18,13 +18,11 @@ from formation_env.records import LANES, at, line_storer, loader, size, storer
 from formation_env.sensors import Measured
 from formation_env.shuffles import (
     carve,
-    clip_actions,
     copy,
     fetch,
     gather,
     restore,
     take_clipped,
-    turn_fours,
 )
 from formation_env.so3 import ZERO, Vector
 from formation_env.trajectories import TrajectoryPoint, evaluate
@@ -71,11 +69,6 @@ def take_actions(memory: Any, room: Any, t: int, here: int) -> None:
     stride = (arrays.vehicles(memory) - 1) * entries
     for i in range(arrays.vehicles(memory) - 1):
         first, executed = t * LANES * stride + i * entries, arrays.action(room, i)
-        if here == LANES and entries == 4:
-            given = arrays.given(room)
-            turn_fours(actions, first, stride, given)
-            clip_actions(given, executed)
-            continue
         for k in range(entries):
             if here == LANES:
                 take_clipped(actions, first + k, stride, executed, k)

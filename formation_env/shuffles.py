@@ -147,49 +147,6 @@ def turn_lines(source: Any, starts: Any, first: int, row: int, tile: Any) -> Non
             tile[k * LANES + lane] = source[starts[lane] + k]
 
 
-_FOUR = 4
-
-
-def _picked(builder: Any, a: Any, b: Any, picks: list[int]) -> Any:
-    """Numbers of two vectors, the second's counted on from the first's."""
-    kind = ir.VectorType(ir.IntType(32), len(picks))
-    return builder.shuffle_vector(a, b, ir.Constant(kind, picks))
-
-
-def _build_turn_fours(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    number, word = ir.FloatType(), context.get_value_type(types.int64)
-    given = (context, builder, signature, arguments)
-    source, at, stride, sink = (
-        data_of(*given, k) if k in (0, 3) else word_of(*given, k) for k in range(4)
-    )
-    mixed = []
-    for lane in range(LANES):
-        offset = builder.add(at, builder.mul(stride, word(lane)))
-        place = _vector_at(builder, source, offset, number, _FOUR)
-        mixed.append(builder.load(place, align=4))
-    # Vector j of four: lanes j, j + 4, ... one behind the other.
-    while len(mixed) > _FOUR:
-        pairs = zip(mixed[: len(mixed) // 2], mixed[len(mixed) // 2 :], strict=True)
-        mixed = [_picked(builder, a, b, list(range(2 * a.type.count))) for a, b in pairs]
-    # Lanes in the order 0, 4 | 8, 12 became 0, 8, 4, 12: put right on the way out.
-    quarters = [0, 2, 1, 3]
-    for k in range(_FOUR):
-        picks = [b * LANES + quarters[q] * _FOUR + k for q in range(_FOUR) for b in (0, 1)]
-        low, high = (_picked(builder, mixed[j], mixed[j + 1], picks) for j in (0, 2))
-        picks = [8 * b + 2 * q + i for q in range(_FOUR) for b in (0, 1) for i in (0, 1)]
-        place = _vector_at(builder, sink, word(k * LANES), number, LANES)
-        builder.store(_picked(builder, low, high, picks), place, align=4)
-    return context.get_dummy_value()
-
-
-@builtin(lambda source, at, stride, sink: types.void, _build_turn_fours)
-def turn_fours(source: Any, at: int, stride: int, sink: Any) -> None:
-    """`sink[k LANES + lane] = source[at + lane stride + k]` for four `k` and all lanes, float32."""
-    for lane in range(LANES):
-        for k in range(_FOUR):
-            sink[k * LANES + lane] = source[at + lane * stride + k]
-
-
 def _build_fetch_line(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     at = word_of(context, builder, signature, arguments, 1)
     pointer = builder.gep(data_of(context, builder, signature, arguments, 0), [at])
@@ -282,13 +239,6 @@ def count_finite(numbers: Any) -> int:
     for k in range(np.uint64(len(numbers))):
         count += abs(numbers[k]) < np.inf
     return count
-
-
-@loop
-def clip_actions(given: Any, executed: Any) -> None:
-    """The entries of the actions of one follower in all lanes, clipped."""
-    for k in range(np.uint64(len(given))):
-        executed[k] = min(max(np.float64(given[k]), -1.0), 1.0)
 
 
 @loop
