@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from llvmlite.binding import Linkage
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.typed_passes import NopythonRewrites
@@ -34,12 +33,12 @@ class _Linked(JITCodeLibrary):  # type: ignore[misc]
     optimised = True
     attributes: tuple[str, ...] = ()  # of the function
 
-    def finalize(self) -> None:
-        super().finalize()
-        for function in self._final_module.functions:
-            if not function.is_declaration and function.linkage == Linkage.external:
+    def add_ir_module(self, module: Any) -> None:
+        for function in module.functions:
+            if not function.is_declaration:
                 for attribute in self.attributes:
-                    function.add_function_attribute(attribute)
+                    function.attributes.add(attribute)
+        super().add_ir_module(module)
 
     @property
     def codegen(self) -> Any:
