@@ -239,16 +239,7 @@ def _show_nothing(x: Any, own: Any, rows: Any) -> None:
 
 LEVELS = (
     Level(
-        "wrench",
-        4,
-        MOMENT,
-        None,
-        None,
-        driven,
-        wrench_action,
-        0.05,
-        _command_wrench,
-        _show_nothing,
+        "wrench", 4, MOMENT, None, None, driven, wrench_action, 0.05, _command_wrench, _show_nothing
     ),
     Level(
         "rates", 4, RATES, None, None, driven, wrench_action, 0.05, _command_rates, _show_nothing

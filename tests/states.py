@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from formation_env import FormationConfig, Vehicle, arrays, configure
+from formation_env._jit import plain
 from formation_env.disturbances import States
 from formation_env.levels import LEVELS, follower_layout
-from formation_env.records import LANES, fields, flatten, size
+from formation_env.records import LANES, define, fields, flatten, size
 from formation_env.sensors import Measured
 from formation_env.simulation import Simulation
 from formation_env.task import COLUMNS, Terms
@@ -20,6 +23,18 @@ Named = dict[str, npt.NDArray[Any]]
 
 # The parts of a vehicle's state that are its own, without the acceleration last measured.
 PARTS = ("p", "v", "q", "w")
+
+
+def compiled(function: Any) -> Any:
+    """A function as kernels have it: some are another piece of code than what Python calls."""
+    names = ", ".join(inspect.signature(plain(function)).parameters)
+    source = f"def call({names}):\n    return function({names})\n"
+    return njit(error_model="numpy")(define("call", source, {"function": function}))
+
+
+def as_python(function: Any) -> Any:
+    """What Python calls."""
+    return function
 
 
 def tile(layout: Any, kind: Any = np.float64) -> npt.NDArray[Any]:

@@ -21,18 +21,17 @@ pytestmark = [
 
 # In a process of its own, which compiles the kernels anew: kernels from the cache have compiled no loops.
 # What types the kernels call each loop with is then known, and with these the machine code is made again,
-# of the loop alone.
+# of the loop alone: of what is linked (`formation_env._linking`) none is made.
 LISTING = """
 import importlib, json, pkgutil, sys
 import formation_env
-from formation_env import _jit, kernels, tiles
+from formation_env import kernels, tiles
 
 loops = {id(one.run): (f"{one.law.__module__}.{one.name}", one.run) for one in tiles.LOOPS}
 for found in pkgutil.walk_packages(formation_env.__path__, "formation_env."):
     for name, one in vars(importlib.import_module(found.name)).items():
-        linked = getattr(getattr(one, "get_overload", None), "__self__", None)
-        kind = getattr(getattr(linked, "_compiler", None), "pipeline_class", None)
-        if kind is _jit._LoopCompiler:
+        linked = getattr(getattr(one, "get_overload", None), "__self__", one)
+        if linked is not one and linked.targetoptions.get("nogil"):
             loops.setdefault(id(one), (f"{one.__module__}.{name}", one))
 
 from formation_env.simulation import Simulation

@@ -14,7 +14,17 @@ from mutation import Mutant, apply, source
 LAWS = (
     *("planner", "slots", "tracker", "quadrotor", "so3", "turning", "elementary", "gains"),
     *("world", "sensors", "task", "rng", "levels", "disturbances"),
-    *("records", "store", "tiles", "shuffles", "flight", "measuring", "neighbours", "nearest"),
+    *(
+        "records",
+        "store",
+        "tiles",
+        "shuffles",
+        "flight",
+        "judging",
+        "measuring",
+        "neighbours",
+        "nearest",
+    ),
     *("references", "random_paths", "tables", "splines", "trajectories"),
     *("feasibility", "formations"),
 )

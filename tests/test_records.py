@@ -18,12 +18,16 @@ from closed_loop import PROPERTY
 from hypothesis import example, given
 from hypothesis import strategies as st
 from numba import config as numba_config
+from states import as_python, compiled
 
 from formation_env import arrays, levels, records, sensors, task, world
-from formation_env._jit import kernel, plain
+from formation_env._jit import plain
 from formation_env.records import LANES, Quantity
 
 Pair = tuple[float, float]
+
+# Loaders and storers are code for LLVM in kernels, and a Python twin of it elsewhere.
+FORMS = pytest.mark.parametrize("form", [as_python, compiled])
 
 
 class Inner(NamedTuple):
@@ -147,10 +151,11 @@ def test_what_is_no_number_is_refused(kind: Any) -> None:
 # -- rows of a tile ---------------------------------------------------------------------------------------
 
 
+@FORMS
 @pytest.mark.parametrize("name", KINDS)
-def test_what_is_stored_is_loaded_and_lies_in_its_lane(name: str) -> None:
+def test_what_is_stored_is_loaded_and_lies_in_its_lane(name: str, form: Any) -> None:
     kind = KINDS[name]
-    load, store = records.loader(kind), records.storer(kind)
+    load, store = form(records.loader(kind)), form(records.storer(kind))
     x = np.full((records.size(kind), LANES), -1.0)
     for lane in (0, 5, LANES - 1):
         store(x.reshape(-1), np.uint64(lane), numbered(kind, 10.0 * lane + 1.0))
@@ -162,19 +167,22 @@ def test_what_is_stored_is_loaded_and_lies_in_its_lane(name: str) -> None:
     np.testing.assert_array_equal(x, expected)
 
 
+@FORMS
 @pytest.mark.parametrize("value", [VALUE, OTHER])
-def test_truth_values_and_whole_numbers_come_back_as_what_they_are(value: Mixed) -> None:
+def test_truth_values_and_whole_numbers_come_back_as_what_they_are(value: Mixed, form: Any) -> None:
     x = np.zeros(records.size(Mixed) * LANES)
-    records.storer(Mixed)(x, np.uint64(3), value)
-    found = records.loader(Mixed)(x, np.uint64(3))
+    form(records.storer(Mixed))(x, np.uint64(3), value)
+    found = form(records.loader(Mixed))(x, np.uint64(3))
     assert found == value
     assert isinstance(found.flag, bool | np.bool_)
     assert isinstance(found.count, int | np.int64)
     assert isinstance(found.both[0].n, int | np.int64)
 
 
-def test_a_record_is_stored_where_a_condition_holds() -> None:
-    keep, before = records.keeper(Mixed), np.arange(float(records.size(Mixed) * LANES))
+@FORMS
+def test_a_record_is_stored_where_a_condition_holds(form: Any) -> None:
+    keep, before = form(records.keeper(Mixed)), np.arange(float(records.size(Mixed) * LANES))
+    before.reshape(-1, LANES)[records.at(Mixed, "flag")] = 1.0
     x = before.copy()
     keep(x, np.uint64(2), False, VALUE)
     np.testing.assert_array_equal(x, before)
@@ -184,20 +192,21 @@ def test_a_record_is_stored_where_a_condition_holds() -> None:
     np.testing.assert_array_equal(x.reshape(-1, LANES), expected)
 
 
+@FORMS
 @pytest.mark.parametrize("kind", [Mixed, Part], ids=lambda kind: kind.__name__)
-def test_a_record_lies_within_a_larger_one_by_the_names_of_its_fields(kind: Any) -> None:
+def test_a_record_lies_within_a_larger_one_by_the_names_of_its_fields(kind: Any, form: Any) -> None:
     larger = numbered(Larger)
     x = np.zeros(records.size(Larger) * LANES)
     at = np.uint64(7)
-    records.storer(Larger)(x, at, larger)
+    form(records.storer(Larger))(x, at, larger)
     expected = kind(**{name: getattr(larger, name) for name in kind._fields})
-    assert records.loader(kind, Larger)(x, at) == expected
+    assert form(records.loader(kind, Larger))(x, at) == expected
     changed = numbered(kind, 100.0)
-    records.storer(kind, Larger)(x, at, changed)
-    assert records.loader(Larger)(x, at) == larger._replace(**changed._asdict())
-    records.keeper(kind, Larger)(x, at, True, expected)
-    records.keeper(kind, Larger)(x, at, False, changed)
-    assert records.loader(Larger)(x, at) == larger
+    form(records.storer(kind, Larger))(x, at, changed)
+    assert form(records.loader(Larger))(x, at) == larger._replace(**changed._asdict())
+    form(records.keeper(kind, Larger))(x, at, True, expected)
+    form(records.keeper(kind, Larger))(x, at, False, changed)
+    assert form(records.loader(Larger))(x, at) == larger
     assert not np.delete(x.reshape(-1, LANES), 7, axis=1).any()
 
 
@@ -241,34 +250,46 @@ def test_a_number_without_a_bound_is_stored_as_it_is() -> None:
     assert x.reshape(-1, LANES)[:, 1].tolist() == [0.5, -1e300]
 
 
+@FORMS
+@pytest.mark.parametrize("kind", [np.float64, np.float32, np.int64])
+def test_numbers_become_those_of_the_array(kind: type, form: Any) -> None:
+    """And are those of the record again when they are loaded."""
+    value, at = numbered(Mixed, 3.0), np.uint64(5)
+    x = np.full(records.size(Mixed) * LANES, 7).astype(kind)
+    form(records.storer(Mixed))(x, at, value)
+    assert form(records.loader(Mixed))(x, at) == value
+    np.testing.assert_array_equal(x.reshape(-1, LANES)[:, 5], records.flatten(value))
+    form(records.keeper(Mixed))(x, at, False, VALUE)
+    assert form(records.loader(Mixed))(x, at) == value
+    form(records.keeper(Mixed))(x, at, True, numbered(Mixed, 40.0))
+    assert form(records.loader(Mixed))(x, at) == numbered(Mixed, 40.0)
+    line = np.array(records.flatten(value)).astype(kind)
+    assert form(records.line_loader(Mixed))(line) == value
+
+
 # -- lines, parts, sums and choices -----------------------------------------------------------------------
 
 
-@kernel
-def _read_mixed(x: Any) -> Any:
-    return _line(x)
-
-
-_line = records.line_loader(Mixed)
-
-
+@FORMS
 @pytest.mark.parametrize("name", KINDS)
-def test_lines_are_read_and_written(name: str) -> None:
+def test_lines_are_read_and_written(name: str, form: Any) -> None:
     kind = KINDS[name]
     value = numbered(kind, 3.0)
     x = np.full(records.size(kind) + 2, -1.0)
-    records.line_storer(kind)(x, value)
+    form(records.line_storer(kind))(x, value)
     flat = records.flatten(value)
     np.testing.assert_array_equal(x, [*flat, -1.0, -1.0])
-    assert records.line_loader(kind)(x) == value
+    assert form(records.line_loader(kind))(x) == value
     if records.is_record(kind):
         for field in kind._fields:
-            assert records.part_loader(kind, field)(x) == getattr(value, field)
+            assert form(records.part_loader(kind, field))(x) == getattr(value, field)
 
 
-def test_lines_are_read_in_compiled_code() -> None:
+@FORMS
+def test_lines_are_read_from_any_place(form: Any) -> None:
     for value in (VALUE, OTHER):
-        assert _read_mixed(np.array(records.flatten(value))) == value
+        line = np.array([1e9, -1e9, *records.flatten(value)])
+        assert form(records.line_loader(Mixed, 2))(line) == value
     assert [type(one) for one in records.flatten(VALUE)] == [float] * len(NUMBERS)
 
 

@@ -16,7 +16,6 @@ from formation_env.shuffles import (
     gather,
     reinterpret,
     scatter,
-    turn_fours,
     turn_lines,
     turn_square,
 )
@@ -30,11 +29,6 @@ def _lines(source: Any, starts: Any, first: int, row: int, sink: Any) -> None:
 @kernel
 def _gather(lines: Any, starts: Any, tile: Any) -> None:
     gather(lines, starts, tile)
-
-
-@kernel
-def _fours(source: Any, at: int, stride: int, sink: Any) -> None:
-    turn_fours(source, at, stride, sink)
 
 
 @kernel
@@ -88,15 +82,6 @@ def test_a_square_of_lines_lands_where_it_belongs_and_nowhere_else() -> None:
         turn_lines(lines, starts, first, row, expected)
         np.testing.assert_array_equal(found, expected)
         assert np.count_nonzero(found) == 64
-
-
-@pytest.mark.parametrize(("at", "stride"), [(0, 4), (4, 8), (7, 13)])
-def test_four_numbers_of_each_lane_become_rows(at: int, stride: int) -> None:
-    source = np.random.default_rng(2).normal(size=at + LANES * stride).astype(np.float32)
-    sink = np.zeros(4 * LANES, np.float32)
-    _fours(source, at, stride, sink)
-    expected = source[at + np.arange(LANES)[None, :] * stride + np.arange(4)[:, None]]
-    np.testing.assert_array_equal(sink.reshape(4, LANES), expected)
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
@@ -192,15 +177,11 @@ def test_finite_numbers_are_counted(count: int) -> None:
 
 
 def test_actions_are_clipped() -> None:
-    """And what is not a number becomes the lower bound; a row at a time, or all of one follower."""
+    """One entry of each world, to a row of those of one follower."""
     draw = np.random.default_rng(9)
-    given = draw.uniform(-2.0, 2.0, 4 * LANES).astype(np.float32)
-    given[5], given[6] = np.inf, -np.inf
-    executed = np.zeros(4 * LANES)
-    shuffles.clip_actions(given, executed)
-    np.testing.assert_array_equal(executed, np.clip(given.astype(np.float64), -1.0, 1.0))
     for first, stride, row in ((0, 6, 0), (2, 7, 3)):
         actions = draw.uniform(-2.0, 2.0, first + LANES * stride).astype(np.float32)
+        actions[first], actions[first + stride] = np.inf, -np.inf
         executed = np.full(4 * LANES, 7.0)
         shuffles.take_clipped(actions, first, stride, executed, row)
         expected = np.full((4, LANES), 7.0)

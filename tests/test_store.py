@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from states import compiled
 
 from formation_env import arrays, configure
 from formation_env._jit import kernel, plain
@@ -34,15 +35,18 @@ four = STORE.field("four", lambda z: (2, z.depth, z.rows, z.columns), np.uint64)
 VIEWS = {"plane": plane, "line": line, "cube": cube, "singles": singles, "whole": whole,
          "signs": signs, "four": four}  # fmt: skip
 KINDS = {"singles": np.float32, "whole": np.int64, "signs": np.bool_, "four": np.uint64}
+COMPILED = {name: compiled(view) for name, view in VIEWS.items()}
 SIZES = Lengths(rows=3, columns=5, flag=9, depth=4)
 read_rows, read_flag = size_reader(Lengths, "rows"), size_reader(Lengths, "flag")
 
 
 def row(name: str, memory: Any, *indices: int) -> Any:
     """A view as compiled code has it, and as Python has it; both in place."""
-    view = VIEWS[name]
-    found = plain(view)(memory, *indices)
-    np.testing.assert_array_equal(view(memory, *indices), found)
+    found = VIEWS[name](memory, *indices)
+    again = COMPILED[name](memory, *indices)
+    np.testing.assert_array_equal(again, found)
+    assert again.dtype == found.dtype
+    assert again.ctypes.data == found.ctypes.data
     return found
 
 
@@ -141,4 +145,5 @@ def test_a_simulation_has_the_arrays_that_are_declared(scenario: str) -> None:
     assert (sizes.worlds, sizes.tiles) == (19, 2)
     assert arrays.ROOM.sizes(flight._rooms[0]) == sizes
     for name in ("worlds", "vehicles", "entries", "action_size", "level", "measuring"):
-        assert plain(getattr(arrays, name))(flight._memory) == getattr(sizes, name)
+        for read in (plain(getattr(arrays, name)), compiled(getattr(arrays, name))):
+            assert read(flight._memory) == getattr(sizes, name)
