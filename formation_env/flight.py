@@ -33,7 +33,7 @@ from formation_env.quadrotor import (
 )
 from formation_env.records import LANES, bounds, chooser, total
 from formation_env.rng import MEASUREMENT, as_single, normal_pair, words
-from formation_env.sensors import Measured, Noise, perturb, truth
+from formation_env.sensors import Measured, Noise, Sensed, accelerating, perturb, sensed, truth
 from formation_env.slots import advance_heading
 from formation_env.slots import slot as slot_of
 from formation_env.so3 import ZERO, Vector, dot, pick, pick_vector, sub
@@ -71,12 +71,6 @@ class Velocity(NamedTuple):
     """A part of `Measured`."""
 
     v: Vector  # m/s, inertial
-
-
-class Acceleration(NamedTuple):
-    """A part of `Measured`."""
-
-    a: Vector  # m/s^2, inertial
 
 
 # -- which worlds step ------------------------------------------------------------------------------------
@@ -250,14 +244,14 @@ note_unsound = over_lanes(soundness, into=("touch",), body=Measured, touch=Touch
 
 
 @device
-def acceleration(
+def sensed_exactly(
     applied: Wrench, touch: Touch, body: Body, push: Vector, airframe: Airframe
-) -> Acceleration:
+) -> Sensed:
     """What a measurement without noise adds to the state itself."""
-    return Acceleration(truth(body, applied, push, touch.touching, airframe).a)
+    return sensed(body, accelerating(body, applied, push, touch.touching, airframe))
 
 
-sense_exactly = over_lanes(acceleration, into=("body",), uniform=("airframe",), body=Measured)
+sense_exactly = over_lanes(sensed_exactly, into=("body",), uniform=("airframe",), body=Measured)
 
 Pair = tuple[float, float]
 Eight = tuple[float, float, float, float, float, float, float, float]

@@ -53,7 +53,7 @@ from formation_env.neighbours import (
     show_neighbours,
 )
 from formation_env.records import LANES, at, line_storer, loader, size, storer
-from formation_env.sensors import Measured
+from formation_env.sensors import FOLLOWERS_SENSE, Measured
 from formation_env.shuffles import (
     carve,
     clear,
@@ -284,7 +284,7 @@ def fly(memory: Any, room: Any, t: int) -> None:
         flight.note_unsound(x, touch)
         if measuring == arrays.EVERY_TICK:
             measure_with_noise(memory, room, t, i)
-        elif measuring == arrays.EXACT and i == 0:  # no follower is told how another accelerates
+        elif measuring == arrays.EXACT and (i == 0 or FOLLOWERS_SENSE):
             measure_exactly(memory, room, t, i)
 
 
