@@ -61,6 +61,12 @@ class Guide(NamedTuple):
     v: Vector  # m/s, inertial
 
 
+@device
+def guide_at(slot: Slot) -> Guide:
+    """A virtual follower at the start of an episode: at its slot, and as fast."""
+    return Guide(slot.p, slot.v)
+
+
 class Guided(NamedTuple):
     """A virtual follower and the frame that actions are in."""
 
@@ -171,7 +177,8 @@ class Level(NamedTuple):
     name: str
     size: int  # entries of an action
     actuation: int | None  # what turns a follower; None: `reference_actuation` of the configuration
-    state: Any  # a record of the virtual vehicle, or None; it begins with position and velocity of the slot
+    state: Any  # a record of the virtual vehicle, or None
+    begin: Any  # (slot): that record at the start of an episode, or None
     view: Any  # a record of what a policy sees of it, or None
     decode: Any  # an action as a wrench; at a guided level as the trajectory's point
     encode: Any  # its inverse
@@ -244,6 +251,7 @@ LEVELS = (
         MOMENT,
         None,
         None,
+        None,
         driven,
         wrench_action,
         0.05,
@@ -251,13 +259,24 @@ LEVELS = (
         _show_nothing,
     ),
     Level(
-        "rates", 4, RATES, None, None, driven, wrench_action, 0.05, _command_rates, _show_nothing
+        "rates",
+        4,
+        RATES,
+        None,
+        None,
+        None,
+        driven,
+        wrench_action,
+        0.05,
+        _command_rates,
+        _show_nothing,
     ),
     Level(
         "reference",
         3,
         None,
         Guide,
+        guide_at,
         GuideView,
         guided,
         acceleration_action,
@@ -298,11 +317,11 @@ def _begin(level: Level) -> Any:
     if level.state is None:
         return _begin_nothing
     store = storer(level.state, follower_layout(level.state))
-    state = level.state
+    at_slot = level.begin
 
     @step
     def begin(x: Any, lane: Any, slot: Slot) -> None:
-        store(x, lane, state(slot.p, slot.v))
+        store(x, lane, at_slot(slot))
 
     return begin
 

@@ -39,9 +39,7 @@ class Noise(NamedTuple):
     position: Annotated[float, _OF_POINTS] = 0.0  # m
     velocity: Annotated[float, _OF_RATES] = 0.0  # m/s
     acceleration: Annotated[float, _OF_RATES] = 0.0  # m/s^2
-    attitude: Annotated[float, Within(0.0, pi)] = (
-        0.0  # rad, each component of a small rotation vector
-    )
+    attitude: Annotated[float, Within(0.0, pi)] = 0.0  # rad, of a small rotation vector, per axis
     angular_velocity: Annotated[float, _OF_RATES] = 0.0  # rad/s
 
 

@@ -108,9 +108,7 @@ _WEIGHT = Within(0.0, 1e6)
 class Rewards(NamedTuple):
     """What things are worth, per control tick."""
 
-    scale: Annotated[float, Within(1e-6, 1e6)] = (
-        0.3  # m, slot error where the formation term is 1/2
-    )
+    scale: Annotated[float, Within(1e-6, 1e6)] = 0.3  # m, slot error that earns one half
     effort: Annotated[float, _WEIGHT] = 0.05  # weight of the mean squared action
     smoothness: Annotated[float, _WEIGHT] = 0.05  # weight of the mean squared change of action
     failure: Annotated[float, _WEIGHT] = 10.0  # paid once by the follower that failed
