@@ -176,6 +176,8 @@ class Level(NamedTuple):
 
     name: str
     size: int  # entries of an action
+    entries: str  # what they are, and what they range over, for the manual
+    range: str
     actuation: int | None  # what turns a follower; None: `reference_actuation` of the configuration
     state: Any  # a record of the virtual vehicle, or None
     begin: Any  # (slot): that record at the start of an episode, or None
@@ -248,6 +250,8 @@ LEVELS = (
     Level(
         "wrench",
         4,
+        "thrust along -r3 (N); moment about the body axes x, y, z (N m)",
+        "thrust 0 ... `m g` ... `2 m g`; moment -+(0.05, 0.05, 0.02)",
         MOMENT,
         None,
         None,
@@ -261,6 +265,8 @@ LEVELS = (
     Level(
         "rates",
         4,
+        "thrust (N); angular velocity about the body axes (rad/s) through a first-order lag of 0.05 s",
+        "thrust as above; rates -+(10, 10, 5)",
         RATES,
         None,
         None,
@@ -274,6 +280,8 @@ LEVELS = (
     Level(
         "reference",
         3,
+        "acceleration of a virtual follower, formation frame {F} (m/s^2), that the paper's tracker flies",
+        "-+(4, 4, 4)",
         None,
         Guide,
         guide_at,

@@ -125,16 +125,26 @@ class Limits(NamedTuple):
     lost: Annotated[float, Within(0.0, ANYWHERE, strict=True)] = 10.0  # m, largest slot error
 
 
+class Term(NamedTuple):
+    """What annotates a term of the reward, for the manual."""
+
+    meaning: str
+    weight: str  # a field of `Rewards`
+    unit: str = ""  # of it
+
+
 class Terms(NamedTuple):
     """The reward's parts, signed and weighted; their sum is the reward.
 
     A field added here, and to what `reward` returns, is summed, stored and reported on all faces.
     """
 
-    formation: float
-    effort: float
-    smoothness: float
-    failure: float
+    formation: Annotated[
+        float, Term("`1 / (1 + (e / scale)^2)`, `e` the true distance to the slot", "scale", "m")
+    ]
+    effort: Annotated[float, Term("`-w` times the mean squared action", "effort")]
+    smoothness: Annotated[float, Term("`-w` times the mean squared change of action", "smoothness")]
+    failure: Annotated[float, Term("`-w` once, to the follower that failed", "failure")]
 
 
 class Outcome(NamedTuple):

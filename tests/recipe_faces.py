@@ -122,6 +122,12 @@ def continues(**task: Any) -> None:
         np.testing.assert_array_equal(one.step(action)[0], two.step(action)[0])
 
 
+def manual(*texts: str) -> None:
+    """The manual says these."""
+    for text in texts:
+        assert text in (FormationEnv.__doc__ or ""), f"not in the manual: {text}"
+
+
 HOVER = (0.0, 0.0, 0.0, 0.0)
 
 
@@ -136,6 +142,7 @@ def reward_term() -> None:
     assert (far["reward_close"] == 0.0).all()
     goes_round(reward={"close": 0.25})
     refused("reward.close = -1", reward={"close": -1.0})
+    manual("| `reward_close` | the weight", "| close 0.5 |")
 
 
 @recipe("Observation entry")
@@ -149,13 +156,20 @@ def observation_entry() -> None:
     assert (entries["uprightness"] < 0.999).all()
     mean, scale = fixed_scales(configure().layout)
     assert len(mean) == len(scale) == rows.shape[1]
-    expert(rows)
+    manual("| 34 | `uprightness` | 1 | inertial | r3 . k, 1 when level | 1 |")
+    assert_expert_keeps_its_slot()
 
 
-def expert(rows: Array, **task: Any) -> None:
-    """The expert finds its entries by name."""
-    policy = make_policy("expert", configure(**task))
-    assert policy is not None and rows.ndim == 2
+def assert_expert_keeps_its_slot() -> None:
+    """It finds its entries, wherever they lie."""
+    env = FormationEnv()
+    policy = make_policy("expert", env.config)
+    observation, _ = env.reset(seed=1)
+    policy.reset(1)
+    for _ in range(150):
+        observation, _, over, _, info = env.step(policy.act(observation))
+        assert not over
+    assert (np.linalg.norm(info["slot_error"], axis=1) < 0.2).all()
 
 
 @recipe("Law and gain")
@@ -201,8 +215,11 @@ def virtual_vehicle() -> None:
     assert first.shape == sharp.shape
     ahead = [named(x, **task)["guide_velocity"][:, 0] for x in (first, later, sharp)]
     assert (ahead[0] < 0.02).all() and (ahead[0] < ahead[1]).all() and (ahead[1] < ahead[2]).all()
-    on_ground, _ = fly(3, (1.0, 0.0, 0.0), action="smooth", start="ground")
-    assert (named(on_ground, action="smooth")["guide_velocity"] == 0.0).all()
+    waiting, _ = fly(3, (1.0, 0.0, 0.0), action="smooth", start="ground")
+    entries = named(waiting, action="smooth")
+    own = entries["leader_velocity"] - entries["relative_velocity"]
+    np.testing.assert_allclose(entries["guide_velocity"], -own, atol=1e-6)
+    manual('| `"smooth"` | 3 |', 'only with `action="smooth"`: virtual')
     continues(**task)
     goes_round(**task)
 
@@ -225,6 +242,7 @@ def action_level() -> None:
     np.testing.assert_allclose(encode(decode(asked, world), world.reach), asked, atol=1e-12)
     continues(**task)
     refused("'rotors'", action="sails")
+    manual('| `"rotors"` | 4 | thrusts of four rotors |')
 
 
 @recipe("Sensor")
@@ -243,6 +261,7 @@ def sensor() -> None:
     entries = named(rows, scenario="experiment")
     np.testing.assert_allclose(entries["height"][:, 0], -entries["position"][:, 2], atol=1e-3)
     refused("noise.height = -1", noise={"height": -1.0})
+    manual("| 34 | `height` | m | inertial |")
     goes_round(**noisy)
     continues(**noisy)
 
