@@ -280,7 +280,8 @@ def allocate(config: FormationConfig, worlds: int, max_steps: int, table_of: Flo
     at_once = plain(every_tick)(clock)
     exact = at_once and plain(silent)(constant.noise)
     state = LEVELS[constant.level].state
-    disturbed = any(plain(d.acts)(getattr(constant, d.parameters)) for d in DISTURBANCES)
+    pushing = constant.disturbances
+    disturbed = any(plain(d.acts)(getattr(pushing, d.name)) for d in DISTURBANCES)
     sizes = Sizes(
         worlds=worlds,
         tiles=tiles(worlds),

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from math import inf, isfinite
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,14 @@ _SHOWN = 120  # of a value in it
 # By inheritance alone these are integers too.
 _NO_INTEGERS = (bool, np.bool_, np.timedelta64)
 _BYTES = (str, bytes, bytearray, memoryview)
+
+
+class Within(NamedTuple):
+    """The bounds of a number that users set: they annotate the field of a record, `Annotated[float, ...]`."""
+
+    low: float
+    high: float
+    strict: bool = False  # whether `low` itself is excluded
 
 
 def shown(value: object) -> str:

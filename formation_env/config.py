@@ -11,15 +11,14 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
-from math import ceil, exp, inf, sqrt
+from math import ceil, inf, sqrt
 from typing import Any, final
 
 import numpy as np
 
-from formation_env import formations, levels
+from formation_env import disturbances, formations, levels
 from formation_env.bounds import check_clock, check_moments, check_rate_loop
 from formation_env.checks import choice, integer, number, refuse, require
-from formation_env.disturbances import Gusts
 from formation_env.feasibility import Feasibility, FeasibilityWarning, check, require_feasible
 from formation_env.gains import RATES_GAINS, PlannerGains, TrackerGains
 from formation_env.leader_path import require_flyable
@@ -42,7 +41,7 @@ from formation_env.world import Clock, Reach, World
 
 ACTUATIONS = {"moment": MOMENT, "rates": RATES}
 
-NO_NOISE = Noise(0.0, 0.0, 0.0, 0.0, 0.0)
+NO_NOISE = Noise()
 
 # Fields that are objects, with their defaults: what a dictionary of some of their fields leaves out.
 PARTS: dict[str, Any] = {
@@ -51,8 +50,8 @@ PARTS: dict[str, Any] = {
     "planner": PlannerGains(),
     "tracker": TrackerGains(),
     "rates_tracker": RATES_GAINS,
-    "reward": Rewards(scale=0.3, effort=0.05, smoothness=0.05, failure=10.0),
-    "limits": Limits(collision=0.2, impact=1.0, tilt=0.5, lost=10.0),
+    "reward": Rewards(),
+    "limits": Limits(),
 }
 _CHOICES = {
     "action": levels.NAMES,
@@ -299,7 +298,7 @@ class FormationConfig:
                 vehicle.rate_max if rates else vehicle.moment_max,
                 self.reference_max,
             ),
-            self._gusts(),
+            disturbances.parameters(self),
             ACTUATIONS[self.leader_actuation],
             self.follower_actuation,
             levels.numbered(self.action),
@@ -314,10 +313,6 @@ class FormationConfig:
         window = self.window if self.estimator == "differenced" else 0
         every = round(measured / (period / self.substeps))
         return Clock(period, self.substeps, every, self.measurement_delay, window)
-
-    def _gusts(self) -> Gusts:
-        keep = exp(-self.control_period / self.gust_time)
-        return Gusts(keep, self.gust * sqrt(1.0 - keep * keep))
 
 
 def quietly(

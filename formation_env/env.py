@@ -11,7 +11,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from formation_env import faces, specs
+from formation_env import faces, manual, specs
 from formation_env.arguments import Fixed, check_options, configured, whole_seed
 from formation_env.config import FormationConfig
 from formation_env.simulation import Simulation, Snapshot, stream_key
@@ -44,11 +44,7 @@ class FormationEnv(Fixed, gym.Env[Observation, NDArray[np.float32]]):
     chosen by `action=`; the limits are those of `config.vehicle`. Finite values out of range are
     clipped; a value that is not finite raises `ValueError` and changes nothing.
 
-    | `action=` | k | entries | -1 ... 0 ... +1 |
-    |---|---|---|---|
-    | `"wrench"` | 4 | thrust along -r3 (N); moment about the body axes x, y, z (N m) | thrust 0 ... `m g` ... `2 m g`; moment -+(0.05, 0.05, 0.02) |
-    | `"rates"` | 4 | thrust (N); angular velocity about the body axes (rad/s) through a first-order lag of 0.05 s | thrust as above; rates -+(10, 10, 5) |
-    | `"reference"` | 3 | acceleration of a virtual follower, formation frame {F} (m/s^2), that the paper's tracker flies | -+(4, 4, 4) |
+    {actions}
 
     ## Observation Space
 
@@ -58,37 +54,16 @@ class FormationEnv(Fixed, gym.Env[Observation, NDArray[np.float32]]):
     `previous_action` and `started` come from measurements, with their noise and delay. Use
     `env.unwrapped.config.layout.unpack(row)` for the names.
 
-    | index | entry | unit | frame | meaning | bound |
-    |---|---|---|---|---|---|
-    | 0-2 | `slot_error` | m | {F} | `R^T(p_L - p) - d`: where the leader is seen, minus where it should be | 1000 |
-    | 3-5 | `relative_velocity` | m/s | {F} | the leader's velocity minus own | 100 |
-    | 6-8 | `leader_velocity` | m/s | {F} | | 100 |
-    | 9-11 | `leader_acceleration` | m/s^2 | {F} | | 100 |
-    | 12-14 | `body_x` | 1 | {F} | first body axis r1 | 1 |
-    | 15-17 | `body_z` | 1 | {F} | third body axis r3; thrust acts along -r3 | 1 |
-    | 18-20 | `angular_velocity` | rad/s | body | omega | 100 |
-    | 21-22 | `heading` | 1 | inertial | cos and sin of the estimated theta | 1 |
-    | 23-25 | `offset` | m | {F} | d_i | 1000 |
-    | 26-29 | `previous_action` | 1 | - | last action as executed, padded with zeros | 1 |
-    | 30 | `started` | 1 | - | 1 once the trigger (40) has fired | 1 |
-    | 31-33 | `position` | m | inertial | own position | 10000 |
-    | +3 | `guide_position` | m | {F} | only with `action="reference"`: the virtual follower's position minus own | 1000 |
-    | +3 | `guide_velocity` | m/s | {F} | only with `action="reference"`: its velocity minus own | 100 |
-    | +7 each | `neighbour_present`, `neighbour_position`, `neighbour_velocity` | 1, m, m/s | {F} | the nearest other followers (`neighbours=2`), nearest first, minus own; zeros where there is none | 1, 1000, 100 |
+    {observations}
 
     Before the trigger (40) fires, `slot_error` refers to the place where the follower should start
     from: the leader counts as being at its first reference point.
 
     ## Rewards
 
-    The mean over followers of the sum of four terms, each an entry of `info`:
+    The mean over followers of the sum of these terms, each an entry of `info`; `w` is its weight:
 
-    | entry of `info` | value per tick | default weight |
-    |---|---|---|
-    | `reward_formation` | `1 / (1 + (e / scale)^2)`, `e` the true distance to the slot | scale 0.3 m |
-    | `reward_effort` | `-w` times the mean squared action | 0.05 |
-    | `reward_smoothness` | `-w` times the mean squared change of action | 0.05 |
-    | `reward_failure` | `-w` once, to the follower that failed | 10 |
+    {rewards}
 
     A tick earns at most 1, so an episode's return is at most its number of ticks: 1000 in `nominal`
     (20 s at 0.02 s), and less in practice, since following the leader costs some effort.
@@ -145,7 +120,7 @@ class FormationEnv(Fixed, gym.Env[Observation, NDArray[np.float32]]):
     | `slot_error` | `(followers, 3)` | m, inertial | slot minus position |
     | `separation` | `(followers,)` | m | distance to the nearest other vehicle |
     | `failure` | `(followers,)` | - | int64, an index into `task.FAILURES`: 0 none, 1 collision, 2 impact, 3 lost, 4 the leader crashed |
-    | `reward_formation`, `reward_effort`, `reward_smoothness`, `reward_failure` | `(followers,)` | 1 | the terms of the reward, see Rewards |
+    | `reward_...` | `(followers,)` | 1 | the terms of the reward, each by the name in the table of Rewards |
 
     Where a vehicle's state can no longer be computed, the episode ends as lost: observations and rewards
     are finite then, too, while `slots`, `slot_error` and `separation` can be NaN in that step.
@@ -255,3 +230,6 @@ class FormationEnv(Fixed, gym.Env[Observation, NDArray[np.float32]]):
         self._simulation.set_state(state)
         if self._simulation.seeded[0]:
             self._keyed_by = self.np_random  # the state's own stream goes on at the next reset
+
+
+FormationEnv.__doc__ = manual.filled(FormationEnv.__doc__)

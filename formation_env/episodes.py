@@ -13,6 +13,7 @@ from formation_env.levels import Follower, begin_level
 from formation_env.quadrotor import Body
 from formation_env.records import LANES, at, line_loader, line_storer, storer
 from formation_env.sensors import Measured, corrupt, silent
+from formation_env.sensors import exact as exact_measurement
 from formation_env.slots import slot
 from formation_env.so3 import ZERO, Vector
 from formation_env.trajectories import draw, evaluate, start_direction
@@ -28,7 +29,7 @@ _STILL = (0.0, 0.0, 0.0, 0.0)
 def place(memory: Any, w: int, i: int, body: Body, a: Vector, key: Any) -> None:
     """Put a vehicle with acceleration `a` into world `w`: undisturbed, its sensors settled."""
     t, lane, world = w // LANES, np.uint64(w % LANES), arrays.world(memory)
-    x, exact = arrays.vehicle(memory, t, i), Measured(body.p, body.v, a, body.q, body.w)
+    x, exact = arrays.vehicle(memory, t, i), exact_measurement(body, a)
     for k in range(len(x) // LANES):
         x[k * LANES + w % LANES] = 0.0
     _store_measured(x, lane, exact)

@@ -17,7 +17,7 @@ from formation_env.arrays import Counters, Touch
 from formation_env.quadrotor import MOMENT, RATES, Airframe, Body, Wrench, touch_floor
 from formation_env.records import LANES
 from formation_env.rng import MEASUREMENT, as_single, normal_pair, words
-from formation_env.sensors import Measured, Noise, perturb, truth
+from formation_env.sensors import Measured, Noise, Sensed, accelerating, perturb, sensed, truth
 from formation_env.so3 import Vector, dot, pick
 from formation_env.tiles import FLAGS, over_lanes
 from formation_env.turning import Turning, slow_by_moment, slow_by_rates, stays_up
@@ -36,12 +36,6 @@ class Velocity(NamedTuple):
     """A part of `Measured`."""
 
     v: Vector  # m/s, inertial
-
-
-class Acceleration(NamedTuple):
-    """A part of `Measured`."""
-
-    a: Vector  # m/s^2, inertial
 
 
 # -- which worlds step ------------------------------------------------------------------------------------
@@ -210,14 +204,14 @@ note_unsound = over_lanes(soundness, into=("touch",), body=Measured, touch=Touch
 
 
 @device
-def acceleration(
+def sensed_exactly(
     applied: Wrench, touch: Touch, body: Body, push: Vector, airframe: Airframe
-) -> Acceleration:
+) -> Sensed:
     """What a measurement without noise adds to the state itself."""
-    return Acceleration(truth(body, applied, push, touch.touching, airframe).a)
+    return sensed(body, accelerating(body, applied, push, touch.touching, airframe))
 
 
-sense_exactly = over_lanes(acceleration, into=("body",), uniform=("airframe",), body=Measured)
+sense_exactly = over_lanes(sensed_exactly, into=("body",), uniform=("airframe",), body=Measured)
 
 Pair = tuple[float, float]
 Eight = tuple[float, float, float, float, float, float, float, float]

@@ -29,7 +29,7 @@ from formation_env import tables
 from formation_env.checks import refuse, require, shortened, shown
 from formation_env.quadrotor import GRAVITY, RATES
 from formation_env.random_paths import FASTEST
-from formation_env.references import LEMNISCATE, SPLINE, Floats
+from formation_env.references import FAMILIES, Floats
 from formation_env.so3 import Vector
 from formation_env.task import ANYWHERE, NEAR, RATE_BOUND
 from formation_env.trajectory import Trajectory
@@ -160,16 +160,14 @@ def _plainly_flyable(trajectory: Trajectory, duration: float, out: float, reach:
 
 def _times(curve: Trajectory, duration: float) -> Floats:
     """Times at which to look at a path: of a spline all pieces, of sines a long run and the end."""
-    if curve.kind == SPLINE:
+    swings = FAMILIES[curve.kind].fastest
+    if swings is None:
         breaks = curve.table[1 : int(curve.table[0]) + 2]
         between = np.arange(_EACH_PIECE) / _EACH_PIECE
         times = (breaks[:-1, None] + np.diff(breaks)[:, None] * between).ravel()
         times = np.concatenate([times, np.linspace(0.0, min(duration, breaks[-1]), 2001)])
         return np.unique(times[(times >= 0.0) & (times <= duration)])
-    waves = np.abs(curve.table[7:].reshape(-1, 3))
-    fastest = float(waves[waves[:, 0] > 0.0, 1].max(initial=0.0))
-    if curve.kind == LEMNISCATE:
-        fastest = 3.0 * curve.table[1] / curve.table[0]
+    fastest = swings(curve.table)
     wanted = max(2.0, duration * fastest / _ANGLE)
     count = ceil(min(wanted, _MOST_SAMPLES))
     run = np.linspace(0.0, duration * min(1.0, count / wanted), count + 1)

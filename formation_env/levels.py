@@ -61,6 +61,12 @@ class Guide(NamedTuple):
     v: Vector  # m/s, inertial
 
 
+@device
+def guide_at(slot: Slot) -> Guide:
+    """A virtual follower at the start of an episode: at its slot, and as fast."""
+    return Guide(slot.p, slot.v)
+
+
 class Guided(NamedTuple):
     """A virtual follower and the frame that actions are in."""
 
@@ -170,8 +176,11 @@ class Level(NamedTuple):
 
     name: str
     size: int  # entries of an action
+    entries: str  # what they are, and what they range over, for the manual
+    range: str
     actuation: int | None  # what turns a follower; None: `reference_actuation` of the configuration
-    state: Any  # a record of the virtual vehicle, or None; it begins with position and velocity of the slot
+    state: Any  # a record of the virtual vehicle, or None
+    begin: Any  # (slot): that record at the start of an episode, or None
     view: Any  # a record of what a policy sees of it, or None
     decode: Any  # an action as a wrench; at a guided level as the trajectory's point
     encode: Any  # its inverse
@@ -239,16 +248,43 @@ def _show_nothing(x: Any, own: Any, rows: Any) -> None:
 
 LEVELS = (
     Level(
-        "wrench", 4, MOMENT, None, None, driven, wrench_action, 0.05, _command_wrench, _show_nothing
+        "wrench",
+        4,
+        "thrust along -r3 (N); moment about the body axes x, y, z (N m)",
+        "thrust 0 ... `m g` ... `2 m g`; moment -+(0.05, 0.05, 0.02)",
+        MOMENT,
+        None,
+        None,
+        None,
+        driven,
+        wrench_action,
+        0.05,
+        _command_wrench,
+        _show_nothing,
     ),
     Level(
-        "rates", 4, RATES, None, None, driven, wrench_action, 0.05, _command_rates, _show_nothing
+        "rates",
+        4,
+        "thrust (N); angular velocity about the body axes (rad/s) through a first-order lag of 0.05 s",
+        "thrust as above; rates -+(10, 10, 5)",
+        RATES,
+        None,
+        None,
+        None,
+        driven,
+        wrench_action,
+        0.05,
+        _command_rates,
+        _show_nothing,
     ),
     Level(
         "reference",
         3,
+        "acceleration of a virtual follower, formation frame {F} (m/s^2), that the paper's tracker flies",
+        "-+(4, 4, 4)",
         None,
         Guide,
+        guide_at,
         GuideView,
         guided,
         acceleration_action,
@@ -289,11 +325,11 @@ def _begin(level: Level) -> Any:
     if level.state is None:
         return _begin_nothing
     store = storer(level.state, follower_layout(level.state))
-    state = level.state
+    at_slot = level.begin
 
     @step
     def begin(x: Any, lane: Any, slot: Slot) -> None:
-        store(x, lane, state(slot.p, slot.v))
+        store(x, lane, at_slot(slot))
 
     return begin
 

@@ -23,6 +23,7 @@ from formation_env.sensors import (
     difference,
     silent,
     truth,
+    with_rates,
 )
 from formation_env.shuffles import carve
 from formation_env.so3 import ZERO, Vector
@@ -130,5 +131,5 @@ def take_sample(
             then = arrays.speed(memory, t * LANES + lane, number % clock.window)
             a = averaged_acceleration(v, _read_velocity(then), clock.window, period)
             _write_velocity(then, v)
-        raw = Measured(raw.p, v, a, raw.q, angular_difference(raw.q, before.q, period))
+        raw = with_rates(raw, v, a, angular_difference(raw.q, before.q, period))
     _store_sample(arrays.sample(memory, t, i, number % ring), at_lane, raw)

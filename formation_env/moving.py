@@ -15,7 +15,7 @@ from formation_env.levels import command_follower
 from formation_env.measuring import in_hand, measure_exactly, measure_when_due, measure_with_noise
 from formation_env.neighbours import CROWD
 from formation_env.records import LANES, at, line_storer, loader, size, storer
-from formation_env.sensors import Measured
+from formation_env.sensors import FOLLOWERS_SENSE, Measured
 from formation_env.shuffles import (
     carve,
     copy,
@@ -192,7 +192,7 @@ def fly(memory: Any, room: Any, t: int) -> None:
         flight.note_unsound(x, touch)
         if measuring == arrays.EVERY_TICK:
             measure_with_noise(memory, room, t, i)
-        elif measuring == arrays.EXACT and i == 0:  # no follower is told how another accelerates
+        elif measuring == arrays.EXACT and (i == 0 or FOLLOWERS_SENSE):
             measure_exactly(memory, room, t, i)
 
 

@@ -3,51 +3,23 @@
 `noise`, `reward`, `limits` are NamedTuples, `vehicle`, `planner`, `tracker`, `rates_tracker` dataclasses.
 For each a dictionary of some of its fields may be given, as JSON has it; the fields that are left out
 keep the value that they have where the change is made. For a NamedTuple a list of all its numbers
-does as well.
+does as well. What annotates the fields of these (`checks.Within`) are their bounds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
-from math import inf, pi
+from math import inf
 from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from formation_env.checks import array, number, refuse
+from formation_env.records import notes
 from formation_env.so3 import Vector
-from formation_env.task import ANYWHERE, NEAR, RATE_BOUND
 
 Part = TypeVar("Part")
-Bounds = tuple[float, float, bool]  # low, high, whether `low` itself is excluded
-
-# The most that a weight of the reward may be; the formation term is at most 1.
-_WEIGHT = (0.0, 1e6, False)
-
-# Noise above the bound of what is observed would leave nothing but the bound, and a weight near the end
-# of the floating-point range a reward that is not finite.
-_NUMBERS: dict[str, dict[str, Bounds]] = {
-    "noise": {
-        "position": (0.0, NEAR, False),
-        "velocity": (0.0, RATE_BOUND, False),
-        "acceleration": (0.0, RATE_BOUND, False),
-        "attitude": (0.0, pi, False),
-        "angular_velocity": (0.0, RATE_BOUND, False),
-    },
-    "reward": {
-        "scale": (1e-6, 1e6, False),
-        "effort": _WEIGHT,
-        "smoothness": _WEIGHT,
-        "failure": _WEIGHT,
-    },
-    "limits": {
-        "collision": (0.0, NEAR, True),
-        "impact": (0.0, ANYWHERE, True),
-        "tilt": (-1.0, 1.0, False),
-        "lost": (0.0, ANYWHERE, True),
-    },
-}
 
 
 def rows(name: str, value: Any, bound: float = inf) -> tuple[Vector, ...]:
@@ -72,8 +44,8 @@ def part(name: str, value: Any, base: Part) -> Part:
             raise ValueError(str(error).replace("tracker.", f"{name}.", 1)) from None
     whole = {**own._asdict(), **entries}
     checked = {
-        field: number(f"{name}.{field}", whole[field], low, high, strict=strict)
-        for field, (low, high, strict) in _NUMBERS[name].items()
+        field: number(f"{name}.{field}", whole[field], to.low, to.high, strict=to.strict)
+        for field, to in notes(cast(Any, kind)).items()
     }
     return kind(**checked)
 

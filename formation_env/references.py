@@ -1,6 +1,7 @@
-"""A trajectory in kernels: position and derivatives up to the fourth, in closed form.
+"""Families of trajectories: position and four derivatives in closed form, and what their tables may hold.
 
-A trajectory is a kind and a table of numbers, so that a kernel can evaluate another one per world:
+A trajectory is a kind, the number of a row of `FAMILIES`, and a table of numbers, so that a kernel can
+evaluate another one per world:
 
 | kind         | table                                                                    |
 |--------------|--------------------------------------------------------------------------|
@@ -9,24 +10,30 @@ A trajectory is a kind and a table of numbers, so that a kernel can evaluate ano
 | `SPLINE`     | `n`, `n + 1` break points, then per piece and axis 8 powers of `t - t_i`  |
 
 Everything is in the inertial frame (north, east, down): metres, seconds, radians; a height of 1.5 m
-is `p_z = -1.5`. The tables are made by `trajectories` and `splines` and checked by `tables`.
+is `p_z = -1.5`. The tables are made by `trajectories` and `splines`. `tables` checks them, by the functions
+that stand here beside the formulas.
 """
 
 from __future__ import annotations
 
-from math import cos, exp, pi, sin, sqrt
-from typing import NamedTuple
+from collections.abc import Callable
+from math import cos, exp, perm, pi, sin, sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from formation_env._jit import device, device_as_generated
+from formation_env.checks import number, refuse, require
+from formation_env.records import define
 from formation_env.so3 import ZERO, Vector
 
 Floats = NDArray[np.float64]
 Five = tuple[float, float, float, float, float]
 
-SINES, LEMNISCATE, SPLINE = 0, 1, 2
+LARGEST = 1e15  # m, m/s, m/s^2, m/s^3, m/s^4, rad/s and s
+MOST_HARMONICS = 1000  # sines per axis
+MOST_ROWS = 100_000  # break points of a spline: a thousand seconds at 100 Hz
 TERMS = 8  # coefficients of a piece of a spline: degree 7
 
 
@@ -38,6 +45,20 @@ class TrajectoryPoint(NamedTuple):
     a: Vector  # m/s^2
     j: Vector  # m/s^3
     s: Vector  # m/s^4
+
+
+def _length(name: str, table: Floats, wanted: int, what: str) -> None:
+    """Refuse a table of another length than its first entry says."""
+    if len(table) != wanted:
+        raise ValueError(f"{name} = {len(table)} numbers: expected {wanted}, for {what}")
+
+
+def _count(name: str, table: Floats, most: int, what: str) -> int:
+    """The whole number that a table begins with."""
+    first = float(table[0])
+    expected = f"the number of {what}, a whole number from 1 to {most}"
+    require(first == int(first) and 1 <= first <= most, f"{name}[0]", first, expected)
+    return int(first)
 
 
 @device
@@ -77,6 +98,31 @@ def _sines(table: Floats, t: float) -> TrajectoryPoint:
     return _by_derivative(
         _sines_axis(table, 0, t), _sines_axis(table, 1, t), _sines_axis(table, 2, t)
     )
+
+
+def _check_sines(name: str, table: Floats) -> None:
+    harmonics = _count(name, table, MOST_HARMONICS, "sines per axis")
+    _length(name, table, 7 + 9 * harmonics, f"{harmonics} sines per axis")
+    # A rate or phase beyond them is none that a sine can be taken of, whatever its amplitude.
+    large = np.flatnonzero(np.abs(table) > LARGEST)
+    if len(large):
+        refuse(f"{name}[{large[0]}]", float(table[large[0]]), f"at most {LARGEST:g} in size")
+
+
+def _reach_sines(table: Floats, duration: float) -> Floats:
+    """The sums of the amplitudes times powers of their rates, beside centre and drift."""
+    waves = np.abs(table[7:].reshape(-1, 3))
+    powers = waves[:, 1] ** np.arange(5.0)[:, None]
+    sums: Floats = (waves[:, 0] * powers).sum(axis=1)
+    drift = np.linalg.norm(table[4:7])
+    sums[0] += np.linalg.norm(table[1:4]) + drift * duration
+    sums[1] += drift
+    return sums
+
+
+def _fastest_sine(table: Floats) -> float:
+    waves = np.abs(table[7:].reshape(-1, 3))
+    return float(waves[waves[:, 0] > 0.0, 1].max(initial=0.0))
 
 
 # Jacobi's amplitude for the parameter m = -1: its quarter period K(-1), half of the lemniscate
@@ -139,6 +185,25 @@ def _lemniscate(table: Floats, t: float) -> TrajectoryPoint:
     )
 
 
+def _check_lemniscate(name: str, table: Floats) -> None:
+    _length(name, table, 5, "size, speed, height, cos and sin of the turn")
+    for i, what in enumerate(("size", "speed", "height")):
+        number(f"{name}[{i}] ({what})", float(table[i]), 0.0, LARGEST)
+    turned = abs(np.hypot(table[3], table[4]) - 1.0) <= 1e-9
+    require(turned, f"{name}[3:5]", table[3:5].tolist(), "cos and sin of the turn")
+
+
+def _reach_lemniscate(table: Floats, duration: float) -> Floats:
+    """`|z''| <= 3 V c`, and so on from the formulas of `references`, with `c = V / a`."""
+    c = table[1] / table[0]
+    rates = np.array([1.0, 3.0 * c, 12.0 * c * c, 60.0 * c * c * c])
+    return np.append(np.hypot(table[0], table[2]), table[1] * rates)
+
+
+def _fastest_turn(table: Floats) -> float:
+    return float(3.0 * table[1] / table[0])
+
+
 @device
 def _piece(table: Floats, t: float) -> int:
     """Which piece of a spline holds `t` (binary search); the first or last one beyond its ends."""
@@ -185,15 +250,72 @@ def _spline(table: Floats, t: float) -> TrajectoryPoint:
     return r
 
 
-@device
-def evaluate(kind: int, table: Floats, t: float) -> TrajectoryPoint:
-    """The trajectory at time `t` (s): position and its derivatives up to the fourth."""
-    if kind == LEMNISCATE:
-        return _lemniscate(table, t)
-    if kind == SPLINE:
-        return _spline(table, t)
-    return _sines(table, t)
+def _check_spline(name: str, table: Floats) -> None:
+    pieces = _count(name, table, MOST_ROWS, "pieces")
+    wanted = 2 + pieces + 3 * TERMS * pieces
+    _length(name, table, wanted, f"{pieces} pieces of 3 polynomials of degree {TERMS - 1}")
+    steps = np.diff(table[1 : pieces + 2])
+    at = int(np.argmin(steps))
+    require(bool(steps[at] > 0.0), f"{name}[{at + 2}]", float(table[at + 2]), "rising break points")
+    ends = max(-table[1], table[pieces + 1], 0.0)
+    require(
+        bool(ends <= LARGEST), f"{name}: last break point", float(ends), f"at most {LARGEST:g} s"
+    )
+    # Horner's scheme meets the coefficients without the powers that make them small.
+    large = np.flatnonzero(np.abs(table) > 1e300)
+    if len(large):
+        refuse(f"{name}[{large[0]}]", float(table[large[0]]), "at most 1e300 in size")
 
+
+def _reach_spline(table: Floats, duration: float) -> Floats:
+    """The sums of the sizes of all terms at the ends of the pieces."""
+    pieces = int(table[0])
+    terms = np.abs(table[pieces + 2 :].reshape(pieces, 3, TERMS))
+    powers = np.diff(table[1 : pieces + 2])[:, None] ** np.arange(TERMS)
+    sums = []
+    for k in range(5):
+        factors = [perm(m, k) for m in range(k, TERMS)]  # the k-th derivative of t^m
+        sizes = np.einsum("iam,im->ia", terms[:, :, k:], factors * powers[:, : TERMS - k])
+        sums.append(np.sqrt((sizes * sizes).sum(axis=1)).max())
+    return np.array(sums)
+
+
+class Family(NamedTuple):
+    """A row of the table: a kind of trajectory."""
+
+    name: str
+    point: Any  # (table, t): a `TrajectoryPoint`; compiled
+    check: Callable[[str, Floats], None]  # (name, table): refuses what is none of its tables
+    reach: Callable[[Floats, float], Floats]  # (table, duration): see `tables.reach`
+    fastest: (
+        Callable[[Floats], float] | None
+    )  # (table): rad/s, of all that swings; None: it has pieces
+
+
+FAMILIES = (
+    Family("sines", _sines, _check_sines, _reach_sines, _fastest_sine),
+    Family("lemniscate", _lemniscate, _check_lemniscate, _reach_lemniscate, _fastest_turn),
+    Family("spline", _spline, _check_spline, _reach_spline, None),
+)
+SINES, LEMNISCATE, SPLINE = range(3)
+
+
+def _by_kind() -> Any:
+    """`evaluate(kind, table, t)`: the trajectory at time `t` (s), position and derivatives; compiled code."""
+    head = "def evaluate(kind, table, t):\n"
+    head += (
+        '    """The trajectory at time `t` (s): position and its derivatives up to the fourth."""\n'
+    )
+    others = [
+        f"    if kind == {kind}:\n        return point_{kind}(table, t)\n"
+        for kind in range(1, len(FAMILIES))
+    ]
+    points = {f"point_{kind}": family.point for kind, family in enumerate(FAMILIES)}
+    source = head + "".join(others) + "    return point_0(table, t)\n"
+    return device(define("evaluate", source, points))
+
+
+evaluate = _by_kind()
 
 _AT_REST = 1e-6  # m/s, m/s^2, ...; a spline of samples is at rest only to its own accuracy
 

@@ -11,10 +11,11 @@ Two ways to know the velocities:
 
 from __future__ import annotations
 
-from math import atan2, sqrt
-from typing import NamedTuple
+from math import atan2, pi, sqrt
+from typing import Annotated, NamedTuple
 
 from formation_env._jit import device
+from formation_env.checks import Within
 from formation_env.quadrotor import Airframe, Body, Wrench, acceleration
 from formation_env.rng import MEASUREMENT, Four, normals
 from formation_env.so3 import (
@@ -26,19 +27,24 @@ from formation_env.so3 import (
     sub,
 )
 
+# Bounds of what is observed: m, m; m/s, m/s^2 or rad/s; 1.
+NEAR, ANYWHERE, RATE_BOUND, UNIT = 1e3, 1e4, 100.0, 1.0
+# Noise above the bound of what is observed would leave nothing but the bound.
+_OF_POINTS, _OF_RATES = Within(0.0, NEAR), Within(0.0, RATE_BOUND)
+
 
 class Noise(NamedTuple):
     """Standard deviations of the white noise on each measured component."""
 
-    position: float  # m
-    velocity: float  # m/s
-    acceleration: float  # m/s^2
-    attitude: float  # rad, each component of a small rotation vector
-    angular_velocity: float  # rad/s
+    position: Annotated[float, _OF_POINTS] = 0.0  # m
+    velocity: Annotated[float, _OF_RATES] = 0.0  # m/s
+    acceleration: Annotated[float, _OF_RATES] = 0.0  # m/s^2
+    attitude: Annotated[float, Within(0.0, pi)] = 0.0  # rad, of a small rotation vector, per axis
+    angular_velocity: Annotated[float, _OF_RATES] = 0.0  # rad/s
 
 
 class Measured(NamedTuple):
-    """One measurement of a vehicle."""
+    """One measurement of a vehicle. Only this module makes one, so that a field can be added here."""
 
     p: Vector  # m, inertial
     v: Vector  # m/s, inertial
@@ -47,15 +53,45 @@ class Measured(NamedTuple):
     w: Vector  # rad/s, body
 
 
+class Sensed(NamedTuple):
+    """What exact sensors read beside the state itself: the fields of `Measured` that `Body` has not."""
+
+    a: Vector  # m/s^2, inertial
+
+
+# Of followers nothing that is sensed is shown to anyone; with another sensor that is.
+FOLLOWERS_SENSE = len(Sensed._fields) > 1
+
+
+@device
+def sensed(body: Body, a: Vector) -> Sensed:
+    """What exact sensors read of a vehicle of acceleration `a` (m/s^2, inertial)."""
+    return Sensed(a)
+
+
+@device
+def exact(body: Body, a: Vector) -> Measured:
+    """The measurement by exact sensors of a vehicle of acceleration `a` (m/s^2, inertial)."""
+    return Measured(body.p, body.v, a, body.q, body.w)
+
+
+@device
+def accelerating(
+    body: Body, applied: Wrench, push: Vector, touching: bool, airframe: Airframe
+) -> Vector:
+    """The acceleration under the thrust now applied, m/s^2, inertial; none on the floor."""
+    a = (0.0, 0.0, 0.0)
+    if not touching:
+        a = acceleration(body.q, applied.thrust, push, airframe)
+    return a
+
+
 @device
 def truth(
     body: Body, applied: Wrench, push: Vector, touching: bool, airframe: Airframe
 ) -> Measured:
-    """What perfect sensors would read. The acceleration is the one under the thrust now applied."""
-    a = (0.0, 0.0, 0.0)
-    if not touching:
-        a = acceleration(body.q, applied.thrust, push, airframe)
-    return Measured(body.p, body.v, a, body.q, body.w)
+    """What exact sensors would read. The acceleration is the one under the thrust now applied."""
+    return exact(body, accelerating(body, applied, push, touching, airframe))
 
 
 @device
@@ -129,3 +165,9 @@ def averaged_acceleration(v_now: Vector, v_then: Vector, window: int, period: fl
     samples at 50 Hz.
     """
     return scale(1.0 / (window * period), sub(v_now, v_then))
+
+
+@device
+def with_rates(raw: Measured, v: Vector, a: Vector, w: Vector) -> Measured:
+    """A measurement whose velocities and acceleration are differenced."""
+    return Measured(raw.p, v, a, raw.q, w)

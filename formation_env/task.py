@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formation_env._jit import device
-from formation_env.checks import refuse
+from formation_env.checks import Within, refuse
 from formation_env.levels import LEVELS
 from formation_env.records import Quantity, fields, notes, size, slices
 from formation_env.sensors import Measured
@@ -101,22 +101,36 @@ ENTRIES = entries(Observation)
 NEIGHBOUR_ENTRIES = entries(Neighbour)
 
 
+# A weight near the end of the floating-point range would make a reward that is not finite.
+_WEIGHT = Within(0.0, 1e6)
+
+
 class Rewards(NamedTuple):
     """What things are worth, per control tick."""
 
-    scale: float  # m, slot error at which the formation term is one half
-    effort: float  # weight of the mean squared action
-    smoothness: float  # weight of the mean squared change of action
-    failure: float  # paid once by the follower that failed
+    scale: Annotated[float, Within(1e-6, 1e6)] = 0.3  # m, slot error that earns one half
+    effort: Annotated[float, _WEIGHT] = 0.05  # weight of the mean squared action
+    smoothness: Annotated[float, _WEIGHT] = 0.05  # weight of the mean squared change of action
+    failure: Annotated[float, _WEIGHT] = 10.0  # paid once by the follower that failed
 
 
 class Limits(NamedTuple):
     """Where an episode fails."""
 
-    collision: float  # m, least distance between two vehicles
-    impact: float  # m/s, fastest touch-down
-    tilt: float  # least r3 . k at touch-down
-    lost: float  # m, largest slot error
+    collision: Annotated[float, Within(0.0, NEAR, strict=True)] = (
+        0.2  # m, least between two vehicles
+    )
+    impact: Annotated[float, Within(0.0, ANYWHERE, strict=True)] = 1.0  # m/s, fastest touch-down
+    tilt: Annotated[float, Within(-1.0, 1.0)] = 0.5  # least r3 . k at touch-down
+    lost: Annotated[float, Within(0.0, ANYWHERE, strict=True)] = 10.0  # m, largest slot error
+
+
+class Term(NamedTuple):
+    """What annotates a term of the reward, for the manual."""
+
+    meaning: str
+    weight: str  # a field of `Rewards`
+    unit: str = ""  # of it
 
 
 class Terms(NamedTuple):
@@ -125,10 +139,12 @@ class Terms(NamedTuple):
     A field added here, and to what `reward` returns, is summed, stored and reported on all faces.
     """
 
-    formation: float
-    effort: float
-    smoothness: float
-    failure: float
+    formation: Annotated[
+        float, Term("`1 / (1 + (e / scale)^2)`, `e` the true distance to the slot", "scale", "m")
+    ]
+    effort: Annotated[float, Term("`-w` times the mean squared action", "effort")]
+    smoothness: Annotated[float, Term("`-w` times the mean squared change of action", "smoothness")]
+    failure: Annotated[float, Term("`-w` once, to the follower that failed", "failure")]
 
 
 class Outcome(NamedTuple):

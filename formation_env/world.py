@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from formation_env._jit import device
-from formation_env.disturbances import Gusts, over_table
+from formation_env.disturbances import Parameters, over_table
 from formation_env.quadrotor import (
     GRAVITY,
     MOMENT,
@@ -20,6 +20,10 @@ from formation_env.quadrotor import (
     saturate,
 )
 from formation_env.rng import START, normals, uniforms
+from formation_env.sensors import ANYWHERE as ANYWHERE  # bounds of what is observed
+from formation_env.sensors import NEAR as NEAR
+from formation_env.sensors import RATE_BOUND as RATE_BOUND
+from formation_env.sensors import UNIT as UNIT
 from formation_env.sensors import Measured, Noise
 from formation_env.slots import Slot
 from formation_env.so3 import (
@@ -40,9 +44,6 @@ Action = tuple[float, float, float, float]
 # Most ticks in an episode: a float counts them exactly, and a random draw's counter holds the number of the
 # sample with up to 1,000 substeps, and measurements, in each. At 50 Hz it is 700 years.
 MAX_TICKS = 2**40
-
-# Bounds of what is observed: m, m; m/s, m/s^2 or rad/s; 1.
-NEAR, ANYWHERE, RATE_BOUND, UNIT = 1e3, 1e4, 100.0, 1.0
 
 
 class Clock(NamedTuple):
@@ -78,7 +79,7 @@ class World(NamedTuple):
     noise: Noise
     clock: Clock
     reach: Reach
-    gusts: Gusts
+    disturbances: Parameters
     leader_actuation: int
     follower_actuation: int
     level: int  # an index into `levels.LEVELS`

@@ -31,6 +31,7 @@ SCALES = {
     "guide_velocity": 0.3,
 }
 NEIGHBOUR_SCALE = 1.0
+OTHER_SCALE = 1.0  # of a field that is not listed
 UPRIGHT = (0.0, 0.0, 1.0)  # mean of body_z
 # The fields of `state()` in its order: of each vehicle, of each follower's slot, of the world.
 _POSITION, _VELOCITY, _ATTITUDE, _ANGULAR_VELOCITY = [5.0] * 3, [1.0] * 3, [0.5] * 4, [1.0] * 3
@@ -43,7 +44,7 @@ def fixed_scales(layout: Layout) -> tuple[Array, Array]:
     mean = np.zeros(layout.size, dtype=np.float32)
     scale = np.full(layout.size, NEIGHBOUR_SCALE, dtype=np.float32)
     for name, where in layout.slices.items():
-        scale[where] = SCALES[name]
+        scale[where] = SCALES.get(name, OTHER_SCALE)
     mean[layout.slices["body_z"]] = UPRIGHT
     return mean, scale
 
