@@ -51,7 +51,7 @@ MOVES = {
     "formation_env.shuffles.clear": "writes zeros",
     "formation_env.nearest._begin": "copies",
     "formation_env.flight.in_the_air": "writes constants",
-    "formation_env.flight.no_candidate": "writes constants",
+    "formation_env.judging.no_candidate": "writes constants",
 }
 # What may be scalar code, and why.
 SCALAR = {
@@ -59,8 +59,8 @@ SCALAR = {
     # Unrolled, they are so short that the compiler does so before it would make vector code of them.
     "formation_env.flight.line_of_reference": "a product and a comparison, once for each tile",
     "formation_env.flight.number_of_sample": "a sum, once for each tile",
-    "formation_env.flight.distance_of": "a root, where a trigger has fired or an episode has ended",
-    "formation_env.flight.candidate_at": "a distance, where one neighbour alone is observed",
+    "formation_env.judging.distance_of": "a root, where a trigger has fired or an episode has ended",
+    "formation_env.flight.note_start": "a comparison, twice for each tile",
 }
 # Operations of processors: packed ones on floating-point or whole numbers, scalar ones on the former.
 _PACKED = re.compile(
