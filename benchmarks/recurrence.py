@@ -16,12 +16,13 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Sequence
-from math import isfinite, log
+from math import log
 from pathlib import Path
 from time import process_time
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from baselines.system import console
+from baselines.system.arguments import Parser, above_zero, whole
 from train.command_line import wait_passively
 
 if TYPE_CHECKING:
@@ -164,18 +165,18 @@ def recurrent(seed: int, minutes: float, episodes: int) -> Figure:
     )
     model.learn(o.steps, callback=Stop())
     used = clock.minutes
-    score, columns = evaluator.score_policy(_pilot(env.config, model.policy))
+    score, columns = evaluator.score_policy(_policy(env.config, model.policy))
     three = (float(score.value), float(score.low), float(score.high))
     return Figure("LSTM", seed, model.num_timesteps, used, three, float(columns["failed"].mean()))
 
 
-def _pilot(config: Any, lstm: Any) -> Any:
+def _policy(config: Any, lstm: Any) -> Any:
     """The recurrent policy as one that the metrics take."""
     import numpy as np
 
     from baselines.policies.base import Policy
 
-    class Pilot(Policy):
+    class Recurrent(Policy):
         name = "lstm"
 
         def begin(self, seeds: Any) -> None:
@@ -191,7 +192,7 @@ def _pilot(config: Any, lstm: Any) -> Any:
             self._fresh[:] = False
             return np.asarray(actions, dtype=np.float32).reshape(*rows.shape[:2], -1)
 
-    return Pilot(config)
+    return Recurrent(config)
 
 
 def table(figures: Sequence[Figure]) -> str:
@@ -210,51 +211,36 @@ def table(figures: Sequence[Figure]) -> str:
 
 
 def _minutes(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not (isfinite(value) and 0.0 < value <= 10_000.0):
-        raise argparse.ArgumentTypeError(f"{text!r}: expected minutes above 0")
+    value = above_zero("minutes above 0")(text)
+    if value > 10_000.0:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected at most 10000 minutes")
     return value
 
 
-def _count(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and 1 <= int(text) <= 1000):
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number from 1 to 1000")
-    return int(text)
+def parser() -> Parser:
+    """The options of the command, none of them read yet."""
+    own = Parser(
+        "benchmarks.recurrence",
+        "Compare memories against measurement noise: the last 1, 4 and 8 observations with PPO, and an "
+        "LSTM with RecurrentPPO, trained for the same processor time on one thread and scored on the same "
+        "episodes.",
+    )
+    add = own.add_argument
+    add("--minutes", type=_minutes, default=4.0, metavar="MIN",
+        help="Processor time of each training in minutes. (default: %(default)s)")  # fmt: skip
+    add("--seeds", type=whole(1, 1000), default=1, metavar="N",
+        help="Number of trainings of each policy, with seeds from 0 on. "
+        "(default: %(default)s)")  # fmt: skip
+    add("--episodes", type=whole(1, 1000), default=32, metavar="N",
+        help="Number of episodes that score each policy. (default: %(default)s)")  # fmt: skip
+    return own
 
 
 @console.command
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status."""
-    parser = argparse.ArgumentParser(
-        prog="benchmarks.recurrence",
-        description="Compare memories against measurement noise: the last 1, 4 and 8 observations "
-        "with PPO, and an LSTM with RecurrentPPO, trained for the same processor time on one thread "
-        "and scored on the same episodes.",
-        allow_abbrev=False,
-    )
-    add = parser.add_argument
-    add(
-        "--minutes",
-        type=_minutes,
-        default=4.0,
-        help="processor time for each policy, in minutes (default: %(default)s)",
-    )
-    add(
-        "--seeds",
-        type=_count,
-        default=1,
-        help="number of runs of each policy (default: %(default)s)",
-    )
-    add(
-        "--episodes",
-        type=_count,
-        default=32,
-        help="number of episodes that score each policy (default: %(default)s)",
-    )
-    given = parser.parse_args(arguments)
+    own = parser()
+    given = own.parse_args(arguments)
     wait_passively()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # theirs, at import
@@ -263,9 +249,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
             import train.ppo.start  # noqa: F401
         except ModuleNotFoundError as problem:
-            parser.exit(
+            own.exit(
                 2,
-                f"{parser.prog}: error: {problem.name} is not installed: "
+                f"{own.prog}: error: {problem.name} is not installed: "
                 'pip install "formation-env[train]" sb3-contrib\n',
             )
     figures = []

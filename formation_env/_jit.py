@@ -1,9 +1,10 @@
 """How this package hands functions to Numba: one place, so that every function is compiled alike.
 
-Three decorators. `device` marks the mathematics: small functions on scalars, tuples and complex
-numbers that are inlined where they are called. `loop` marks the loops that the compiler vectorises.
-`kernel` marks the few entry points that Python calls: they hold the loops over memory, release the GIL
-and are cached on disk.
+`device` marks the mathematics: small functions on scalars, tuples and complex numbers that are inlined where
+they are called. `loop` marks the loops that the compiler vectorises. `step` and `cold` mark the code
+around them, which moves views and counters about; `cold` is seldom gone through and therefore called.
+`builtin` gives kernels what no Python expresses. `kernel` marks the few entry points that Python calls: they
+hold the loops over memory, release the GIL and are cached on disk.
 
 All use the same restricted fast-math set. `contract` (fused multiply-add), `nsz` and `arcp` give
 most of the speed and keep the meaning of NaN and infinity, on which the input checks rely.
@@ -21,13 +22,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-from llvmlite.binding import Linkage
 from numba import njit
 from numba.core import event, types
-from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
-from numba.core.typed_passes import NopythonRewrites
 from numba.extending import lower_builtin, type_callable
+
+from formation_env._linking import ColdCompiler, LateCompiler, LinkedCompiler
 
 _types: Any = types
 
@@ -49,93 +49,6 @@ def _source_stamp(folder: Path) -> str | None:
     return digest.hexdigest()
 
 
-class _NoMachine:
-    """A code generator that does not look for machine code: of a function that is linked there is none."""
-
-    def __init__(self, codegen: Any) -> None:
-        self._codegen = codegen
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._codegen, name)
-
-    def set_env(self, name: str, env: Any) -> None:
-        pass
-
-
-class _Linked(JITCodeLibrary):  # type: ignore[misc]
-    """Code that kernels link. No machine code is made of it: that is made once, of the whole kernel."""
-
-    optimised = True
-    attributes: tuple[str, ...] = ()  # of the function
-
-    def finalize(self) -> None:
-        super().finalize()
-        for function in self._final_module.functions:
-            if not function.is_declaration and function.linkage == Linkage.external:
-                for attribute in self.attributes:
-                    function.add_function_attribute(attribute)
-
-    @property
-    def codegen(self) -> Any:
-        return _NoMachine(self._codegen)
-
-    def _optimize_final_module(self) -> None:
-        if self.optimised:
-            super()._optimize_final_module()
-
-    def _finalize_final_module(self) -> None:
-        self._finalize_dynamic_globals()
-        self._finalized = True
-
-    def get_pointer_to_function(self, name: str) -> int:
-        return 0
-
-
-class _LinkedLoop(_Linked):
-    """The same, called and not inlined: one piece of machine code for all callers."""
-
-    attributes = ("noinline",)
-
-
-class _LinkedLate(_Linked):
-    """The same, optimised with the kernel alone."""
-
-    optimised = False
-
-
-class _LinkedCold(_LinkedLate):
-    """The same, called and not inlined, and optimised for size."""
-
-    attributes = ("noinline", "optsize", "cold")
-
-
-class _LinkedCompiler(Compiler):  # type: ignore[misc]
-    """Numba's compiler, for functions that are linked and never called from Python."""
-
-    library: Any = _Linked
-
-    def define_pipelines(self) -> Any:
-        pipelines = super().define_pipelines()
-        for pipeline in pipelines:
-            # Expressions of whole arrays, which kernels do not contain.
-            pipeline.passes = [one for one in pipeline.passes if one[0] is not NopythonRewrites]
-        state = self.state
-        state.library = self.library(state.targetctx.codegen(), state.func_id.func_qualname)
-        return pipelines
-
-
-class _LoopCompiler(_LinkedCompiler):
-    library = _LinkedLoop
-
-
-class _LateCompiler(_LinkedCompiler):
-    library = _LinkedLate
-
-
-class _ColdCompiler(_LinkedCompiler):
-    library = _LinkedCold
-
-
 def _apart(flags: Any) -> Any:
     """Have the compiler take it that no array a function writes overlaps another one it uses."""
     flags.noalias = True
@@ -145,7 +58,7 @@ def _apart(flags: Any) -> Any:
 def _called_by_kernels(
     function: F,
     apart: bool = False,
-    compiler: Any = _LinkedCompiler,
+    compiler: Any = LinkedCompiler,
     literal: bool = False,
     **options: Any,
 ) -> F:
@@ -185,12 +98,12 @@ def step(function: F) -> F:
     For code that moves views and counters about; mathematics is a `device`, whose numbers then do not
     depend on where it is inlined.
     """
-    return _called_by_kernels(function, compiler=_LateCompiler, forceinline=True)
+    return _called_by_kernels(function, compiler=LateCompiler, forceinline=True)
 
 
 def cold(function: F) -> F:
     """Compile `function` as a seldom used part of the loop over tiles: called, not inlined."""
-    return _called_by_kernels(function, compiler=_ColdCompiler, forceinline=False)
+    return _called_by_kernels(function, compiler=ColdCompiler, forceinline=False)
 
 
 def builtin(result: Callable[..., Any], build: Callable[..., Any]) -> Callable[[F], F]:
@@ -223,14 +136,13 @@ def plain(function: F) -> F:
 
 
 def loop(function: F) -> F:
-    """Compile `function` as a loop of its own, called by kernels and not inlined by us.
+    """Compile `function` as a loop, vectorised before it is inlined where it is called.
 
-    Small enough for the compiler to vectorise, and one piece of machine code for all its callers. What
-    it writes in an array must not be read through another one: else it would compare all addresses in
+    What it writes in an array must not be read through another one: else it would compare all addresses in
     each call, and keep a scalar loop beside the vector one.
     """
     return _called_by_kernels(
-        function, apart=True, compiler=_LoopCompiler, nogil=True, forceinline=False
+        function, apart=True, compiler=LinkedCompiler, nogil=True, forceinline=True
     )
 
 

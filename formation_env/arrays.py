@@ -6,7 +6,7 @@ its rows are those of a record, by the record; `store` says where it lies, `reco
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, final
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,7 +157,6 @@ reference = _field("reference", lambda z: (LINE * LANES,))  # the leader's, in t
 lines = _field("lines", lambda z: (LINE * LANES,))  # numbers of each world, to be turned into rows
 counts = _field("counts", lambda z: (LANES,), np.uint64)  # numbers of the samples to be taken
 line_starts = _field("line_starts", lambda z: (LANES,), np.int64)  # where each world's line begins
-given = _field("given", lambda z: (size(Action) * LANES,), np.float32)  # actions of one follower
 draws = _field("draws", lambda z: (size(Measured) * LANES,), np.float32)  # normal numbers
 action = _field("actions", lambda z: (z.vehicles - 1, size(Action) * LANES))  # as executed
 command = _field("commands", lambda z: (z.vehicles, size(Wrench) * LANES))
@@ -177,10 +176,7 @@ other = _field("other", lambda z: (SIGHT * LANES,))  # one neighbour in each wor
 points = _field("points", lambda z: (SIGHT * z.vehicles * LANES,))  # all of them, world by world
 saved = _field(  # vehicles and measurements of a tile some of whose worlds do not step
     "saved",
-    lambda z: (
-        z.vehicles,
-        (z.vehicle_rows + (size(Measured) if z.delays == 1 else 0)) * LANES,
-    ),
+    lambda z: (z.vehicles, (z.vehicle_rows + (size(Measured) if z.delays == 1 else 0)) * LANES),
 )
 # Of the search among many vehicles: see `nearest`.
 cells = _field("cells", lambda z: (z.vehicles,), np.int64)
@@ -266,57 +262,6 @@ class State(NamedTuple):
     counters: NDArray[np.int64]  # (T, 5 L): `Counters`
     keys: NDArray[np.uint64]  # (T, L): of the streams
     episode_keys: NDArray[np.uint64]  # (T, L): of the episodes
-
-
-class Results(NamedTuple):
-    """What one call returns, fresh arrays."""
-
-    observations: NDArray[np.float32]  # (W, n, entries)
-    outputs: Floats  # (W, n, numbers of an `Outcome`)
-    ends: Floats  # (3, W): `Verdict`
-    final_observations: NDArray[np.float32]  # as observations, empty unless asked for
-    final_outputs: Floats
-
-    @property
-    def rewards(self) -> Floats:
-        """The followers' mean reward, `(W,)`."""
-        rewards: Floats = self.ends[0]
-        return rewards
-
-    @property
-    def terminated(self) -> NDArray[np.bool_]:
-        """`(W,)`."""
-        flags: NDArray[np.bool_] = np.not_equal(self.ends[1], 0.0)
-        return flags
-
-    @property
-    def truncated(self) -> NDArray[np.bool_]:
-        """`(W,)`."""
-        flags: NDArray[np.bool_] = np.not_equal(self.ends[2], 0.0)
-        return flags
-
-
-@final
-class Shapes:
-    """Of what one call returns, for the fewest operations in a step of a lone world."""
-
-    def __init__(self, config: FormationConfig, worlds: int) -> None:
-        self.observations = (worlds, config.followers, config.layout.size)
-        self.outputs = (worlds, config.followers, size(Outcome))
-        self.ends = (size(Verdict), worlds)
-
-    def results(self, final: bool) -> Results:
-        """Fresh arrays; the kernel fills them all but those of episodes that did not end."""
-        observations, outputs = np.empty(self.observations, _SINGLE), np.empty(self.outputs)
-        if not final:
-            return Results(observations, outputs, np.empty(self.ends), _NOTHING, _NO_OUTPUTS)
-        last = np.zeros(self.observations, _SINGLE), np.zeros(self.outputs)
-        return Results(observations, outputs, np.empty(self.ends), *last)
-
-
-_SINGLE = np.dtype(np.float32)
-_NOTHING = np.zeros((0, 0, 0), _SINGLE)
-_NO_OUTPUTS = np.zeros((0, 0, size(Outcome)))
 
 
 def tiles(worlds: int) -> int:

@@ -11,14 +11,7 @@ from typing import Any
 import numpy as np
 
 from formation_env._jit import step
-from formation_env.arrays import (
-    Verdict,
-    action_size,
-    call,
-    entries,
-    vehicles,
-    worlds,
-)
+from formation_env.arrays import Verdict, action_size, call, entries, vehicles, worlds
 from formation_env.records import size
 from formation_env.task import Outcome
 from formation_env.threads import address_of, array_at, post, posted

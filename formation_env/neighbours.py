@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from formation_env import arrays, flight
+from formation_env import arrays, judging
 from formation_env._jit import cold, step
 from formation_env.arrays import SIGHT, Candidate, Squares
 from formation_env.measuring import in_hand
@@ -35,7 +35,7 @@ def approach_others(memory: Any, room: Any, t: int, i: int) -> None:
     for j in range(arrays.vehicles(memory) - 1):
         if j != i:
             one, other = arrays.vehicle(memory, t, i + 1), arrays.vehicle(memory, t, j + 1)
-            flight.approach(one, other, arrays.squares(room, i))
+            judging.approach(one, other, arrays.squares(room, i))
 
 
 @step
@@ -105,19 +105,19 @@ def find_neighbours_of_few(memory: Any, room: Any, t: int, i: int) -> None:
     n, K = arrays.vehicles(memory) - 1, arrays.neighbours(memory)
     ranks, candidate = min(n - 1, K), arrays.candidate(room, K)
     for rank in range(ranks):
-        flight.clear_candidate(arrays.candidate(room, rank))
+        judging.clear_candidate(arrays.candidate(room, rank))
     for j in range(n):
         if j != i:
             own, other = in_hand(memory, room, t, i + 1), in_hand(memory, room, t, j + 1)
             first = arrays.candidate(room, 0)
             if ranks > 1:
                 second = arrays.candidate(room, 1)
-                flight.insert_two(other, own, float(j), first, second, candidate)
+                judging.insert_two(other, own, float(j), first, second, candidate)
             else:
-                flight.measure(other, own, float(j), candidate)
-                flight.insert(candidate, first)
+                judging.measure(other, own, float(j), candidate)
+                judging.insert(candidate, first)
             for rank in range(2, ranks):
-                flight.insert(candidate, arrays.candidate(room, rank))
+                judging.insert(candidate, arrays.candidate(room, rank))
     for rank in range(ranks):
         copy(arrays.candidate(room, rank), _NUMBER, arrays.neighbour(room, i, rank), 0, 1)
 
@@ -175,4 +175,4 @@ def show_neighbours(memory: Any, room: Any, t: int, i: int) -> None:
             fetch_neighbour_of_many(memory, room, i, rank)
         else:
             fetch_neighbour(memory, room, t, i, rank)
-        flight.show_neighbour(numbers, x, own, other, sink)
+        judging.show_neighbour(numbers, x, own, other, sink)

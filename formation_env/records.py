@@ -17,8 +17,21 @@ from functools import cache
 from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
 
 import numpy as np
+from llvmlite import ir
+from numba import types
 
-from formation_env._jit import step
+from formation_env._jit import builtin, step
+from formation_env.lowering import (
+    data_of,
+    load_number,
+    make,
+    number_type,
+    numbers_of,
+    pick_number,
+    record_type,
+    store_number,
+    word_of,
+)
 
 LANES = 16  # worlds side by side in a tile: two vectors of doubles, one of single precision
 
@@ -176,10 +189,27 @@ def define(name: str, source: str, names: dict[str, Any]) -> Any:
     return space[name]
 
 
-def _function(verb: str, kind: Any, arguments: str, body: list[str], names: dict[str, Any]) -> Any:
+def _defined(verb: str, kind: Any, arguments: str, body: list[str], names: dict[str, Any]) -> Any:
     what = kind.__name__ if is_record(kind) else "".join(c for c in str(kind) if c.isalnum())
     source = f"def {verb}_{what}({arguments}):\n" + "".join(f"    {line}\n" for line in body)
-    return step(define(f"{verb}_{what}", source, names))
+    return define(f"{verb}_{what}", source, names)
+
+
+def _function(verb: str, kind: Any, arguments: str, body: list[str], names: dict[str, Any]) -> Any:
+    return step(_defined(verb, kind, arguments, body, names))
+
+
+@cache
+def numba_type(kind: Any) -> Any:
+    """Numba's type of a value."""
+    kind = _bare(kind)
+    if kind in _NUMBERS:
+        return number_type(kind)
+    if kind is complex:
+        return types.complex128
+    if is_record(kind):
+        return record_type((numba_type(one) for one in fields(kind).values()), kind)
+    return record_type(numba_type(one) for one in get_args(kind))
 
 
 @cache
@@ -191,7 +221,20 @@ def loader(kind: Any, layout: Any = None) -> Any:
     names: dict[str, Any] = {}
     places = _places(kind, layout, names)
     reads = [_read(one, place) for (_, one), place in zip(parts(kind), places, strict=True)]
-    return _function("load", kind, "x, lane", [f"return {build(kind, reads, names)}"], names)
+    source = [f"return {build(kind, reads, names)}"]
+    rows = rows_in(kind, layout or kind)
+
+    def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        given = (context, builder, signature, arguments)
+        array, data, lane = signature.args[0], data_of(*given, 0), word_of(*given, 1)
+        numbers = []
+        for row, (_, one) in zip(rows, parts(kind), strict=True):
+            place = builder.gep(data, [builder.add(lane, lane.type(row * LANES))])
+            numbers.append(load_number(context, builder, array, place, one))
+        return make(context, builder, signature.return_type, numbers)
+
+    made = builtin(lambda x, lane: numba_type(kind), write)
+    return made(_defined("load", kind, "x, lane", source, names))
 
 
 @cache
@@ -201,12 +244,14 @@ def storer(kind: Any, layout: Any = None, bounds: tuple[float, ...] = ()) -> Any
     Clipped, what is not a number becomes the lower bound.
     """
     names: dict[str, Any] = {}
+    places = _places(kind, layout, names)
+    if not bounds:
+        lines = [f"{x} = {_written(*one)}" for x, one in zip(places, parts(kind), strict=True)]
+        made = _defined("store", kind, "x, lane, v", lines, names)
+        return builtin(lambda x, lane, v: types.void, _store_rows(kind, layout))(made)
     lines = []
-    for k, place in enumerate(_places(kind, layout, names)):
-        text = _written(*parts(kind)[k])
-        if bounds:
-            text = f"min(max({-bounds[k]!r}, {text}), {bounds[k]!r})"
-        lines.append(f"{place} = {text}")
+    for x, bound, one in zip(places, bounds, parts(kind), strict=True):
+        lines.append(f"{x} = min(max({-bound!r}, {_written(*one)}), {bound!r})")
     return _function("store", kind, "x, lane, v", lines, names)
 
 
@@ -217,26 +262,50 @@ def keeper(kind: Any, layout: Any = None) -> Any:
     places = _places(kind, layout, names)
     texts = [_written(path, one) for path, one in parts(kind)]
     lines = [f"{x} = {text} if on else {x}" for x, text in zip(places, texts, strict=True)]
-    return _function("keep", kind, "x, lane, on, v", lines, names)
+    made = _defined("keep", kind, "x, lane, on, v", lines, names)
+    return builtin(lambda x, lane, on, v: types.void, _store_rows(kind, layout))(made)
+
+
+def _store_rows(kind: Any, layout: Any) -> Any:
+    """What LLVM is to do to store the last argument in a lane; of four where the third holds."""
+    rows = rows_in(kind, layout or kind)
+
+    def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        given = (context, builder, signature, arguments)
+        array, data, lane = signature.args[0], data_of(*given, 0), word_of(*given, 1)
+        found = numbers_of(context, builder, signature.args[-1], arguments[-1])
+        for row, (one, number) in zip(rows, found, strict=True):
+            place = builder.gep(data, [builder.add(lane, lane.type(row * LANES))])
+            if len(arguments) == 4:
+                before = context.cast(builder, builder.load(place), array.dtype, one)
+                number = pick_number(builder, arguments[2], number, before)
+            store_number(context, builder, array, place, one, number)
+        return context.get_dummy_value()
+
+    return write
 
 
 @cache
-def line_loader(kind: Any) -> Any:
-    """`load(x)`: the value whose numbers a line begins with, the inverse of `flatten`; compiled code."""
+def line_loader(kind: Any, first: int = 0) -> Any:
+    """`load(x)`: the value whose numbers lie in a line from `first` on, the inverse of `flatten`."""
     names: dict[str, Any] = {}
-    reads = [_read(one, f"x[{k}]") for k, (_, one) in enumerate(parts(kind))]
-    return _function("read", kind, "x", [f"return {build(kind, reads, names)}"], names)
+    reads = [_read(one, f"x[{first + k}]") for k, (_, one) in enumerate(parts(kind))]
+    source = [f"return {build(kind, reads, names)}"]
+
+    def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array, data = signature.args[0], data_of(context, builder, signature, arguments, 0)
+        numbers = []
+        for k, (_, one) in enumerate(parts(kind)):
+            place = builder.gep(data, [ir.Constant(ir.IntType(64), first + k)])
+            numbers.append(load_number(context, builder, array, place, one))
+        return make(context, builder, signature.return_type, numbers)
+
+    return builtin(lambda x: numba_type(kind), write)(_defined("read", kind, "x", source, names))
 
 
-@cache
 def part_loader(kind: Any, field: str) -> Any:
     """`load(x)`: one field of the record whose numbers a line begins with; compiled code."""
-    names: dict[str, Any] = {}
-    one = fields(kind)[field]
-    first = slices(kind)[field].start
-    reads = [_read(each, f"x[{first + k}]") for k, (_, each) in enumerate(parts(one))]
-    line = f"return {build(one, reads, names)}"
-    return _function(f"read_{field}_of", kind, "x", [line], names)
+    return line_loader(fields(kind)[field], at(kind, field))
 
 
 @cache

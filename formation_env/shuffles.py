@@ -19,45 +19,16 @@ from numba.core import cgutils
 from numba.np import arrayobj
 
 from formation_env._jit import builtin, device, loop
+from formation_env.lowering import data_of, lengths_of, view_of, word_of
 from formation_env.records import LANES
 
 _BYTES = 64  # of a vector, and of a line of the cache
 _LANES = np.uint64(LANES)
 
 
-def _data(context: Any, builder: Any, signature: Any, arguments: Any, k: int) -> Any:
-    """A pointer to the numbers of an array among the arguments."""
-    return arrayobj.make_array(signature.args[k])(context, builder, arguments[k]).data
-
-
-def _word(context: Any, builder: Any, signature: Any, arguments: Any, k: int) -> Any:
-    """A whole number among the arguments, as int64."""
-    return context.cast(builder, arguments[k], signature.args[k], types.int64)
-
-
-def view_of(context: Any, builder: Any, view: Any, data: Any, lengths: list[Any]) -> Any:
-    """A C-contiguous array of type `view` at a pointer; it owns nothing and is not counted."""
-    block = arrayobj.make_array(view)(context, builder)
-    word = context.get_value_type(types.intp)
-    size = word(context.get_abi_sizeof(context.get_data_type(view.dtype)))
-    strides = [size]
-    for length in lengths[:0:-1]:
-        strides.insert(0, builder.mul(strides[0], length))
-    arrayobj.populate_array(block, data, lengths, strides, size, None)
-    return block._getvalue()
-
-
-def lengths_of(context: Any, builder: Any, shape: Any, value: Any) -> list[Any]:
-    """The whole numbers of a tuple."""
-    return [
-        context.cast(builder, builder.extract_value(value, k), kind, types.intp)
-        for k, kind in enumerate(shape)
-    ]
-
-
 def _build_carve(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    start = _word(context, builder, signature, arguments, 1)
-    first = builder.gep(_data(context, builder, signature, arguments, 0), [start])
+    start = word_of(context, builder, signature, arguments, 1)
+    first = builder.gep(data_of(context, builder, signature, arguments, 0), [start])
     lengths = lengths_of(context, builder, signature.args[2], arguments[2])
     return view_of(context, builder, signature.return_type, first, lengths)
 
@@ -125,7 +96,7 @@ def _build_turn_square(context: Any, builder: Any, signature: Any, arguments: An
     size, word = _BYTES // width, context.get_value_type(types.int64)
     given = (context, builder, signature, arguments)
     tile, at, sink, to, stride = (
-        _data(*given, k) if k in (0, 2) else _word(*given, k) for k in range(5)
+        data_of(*given, k) if k in (0, 2) else word_of(*given, k) for k in range(5)
     )
     rows = []
     for k in range(width):
@@ -150,8 +121,8 @@ def _build_turn_lines(context: Any, builder: Any, signature: Any, arguments: Any
     width, number = _width(signature.args[0]), context.get_data_type(signature.args[0].dtype)
     size, word = _BYTES // width, context.get_value_type(types.int64)
     given = (context, builder, signature, arguments)
-    lines, starts, tile = (_data(*given, k) for k in (0, 1, 4))
-    first, row = _word(*given, 2), _word(*given, 3)
+    lines, starts, tile = (data_of(*given, k) for k in (0, 1, 4))
+    first, row = word_of(*given, 2), word_of(*given, 3)
     rows = []
     for k in range(width):
         start = builder.load(builder.gep(starts, [builder.add(first, word(k))]))
@@ -176,52 +147,9 @@ def turn_lines(source: Any, starts: Any, first: int, row: int, tile: Any) -> Non
             tile[k * LANES + lane] = source[starts[lane] + k]
 
 
-_FOUR = 4
-
-
-def _picked(builder: Any, a: Any, b: Any, picks: list[int]) -> Any:
-    """Numbers of two vectors, the second's counted on from the first's."""
-    kind = ir.VectorType(ir.IntType(32), len(picks))
-    return builder.shuffle_vector(a, b, ir.Constant(kind, picks))
-
-
-def _build_turn_fours(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    number, word = ir.FloatType(), context.get_value_type(types.int64)
-    given = (context, builder, signature, arguments)
-    source, at, stride, sink = (
-        _data(*given, k) if k in (0, 3) else _word(*given, k) for k in range(4)
-    )
-    mixed = []
-    for lane in range(LANES):
-        offset = builder.add(at, builder.mul(stride, word(lane)))
-        place = _vector_at(builder, source, offset, number, _FOUR)
-        mixed.append(builder.load(place, align=4))
-    # Vector j of four: lanes j, j + 4, ... one behind the other.
-    while len(mixed) > _FOUR:
-        pairs = zip(mixed[: len(mixed) // 2], mixed[len(mixed) // 2 :], strict=True)
-        mixed = [_picked(builder, a, b, list(range(2 * a.type.count))) for a, b in pairs]
-    # Lanes in the order 0, 4 | 8, 12 became 0, 8, 4, 12: put right on the way out.
-    quarters = [0, 2, 1, 3]
-    for k in range(_FOUR):
-        picks = [b * LANES + quarters[q] * _FOUR + k for q in range(_FOUR) for b in (0, 1)]
-        low, high = (_picked(builder, mixed[j], mixed[j + 1], picks) for j in (0, 2))
-        picks = [8 * b + 2 * q + i for q in range(_FOUR) for b in (0, 1) for i in (0, 1)]
-        place = _vector_at(builder, sink, word(k * LANES), number, LANES)
-        builder.store(_picked(builder, low, high, picks), place, align=4)
-    return context.get_dummy_value()
-
-
-@builtin(lambda source, at, stride, sink: types.void, _build_turn_fours)
-def turn_fours(source: Any, at: int, stride: int, sink: Any) -> None:
-    """`sink[k LANES + lane] = source[at + lane stride + k]` for four `k` and all lanes, float32."""
-    for lane in range(LANES):
-        for k in range(_FOUR):
-            sink[k * LANES + lane] = source[at + lane * stride + k]
-
-
 def _build_fetch_line(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    at = _word(context, builder, signature, arguments, 1)
-    pointer = builder.gep(_data(context, builder, signature, arguments, 0), [at])
+    at = word_of(context, builder, signature, arguments, 1)
+    pointer = builder.gep(data_of(context, builder, signature, arguments, 0), [at])
     number = ir.IntType(32)
     kind = ir.FunctionType(ir.VoidType(), [pointer.type, number, number, number])
     prefetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
@@ -311,13 +239,6 @@ def count_finite(numbers: Any) -> int:
     for k in range(np.uint64(len(numbers))):
         count += abs(numbers[k]) < np.inf
     return count
-
-
-@loop
-def clip_actions(given: Any, executed: Any) -> None:
-    """The entries of the actions of one follower in all lanes, clipped."""
-    for k in range(np.uint64(len(given))):
-        executed[k] = min(max(np.float64(given[k]), -1.0), 1.0)
 
 
 @loop

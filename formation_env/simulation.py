@@ -17,11 +17,12 @@ from numba import config as numba_config
 from numpy.typing import NDArray
 
 from formation_env import arrays, kernels
-from formation_env.arrays import Counters, Results, by_world, rows
+from formation_env.arrays import Counters, by_world, rows
 from formation_env.checks import array, integer, require
 from formation_env.config import FormationConfig
 from formation_env.exclusive import Exclusive
 from formation_env.records import LANES, slices
+from formation_env.results import Results, Shapes
 from formation_env.sensors import Measured
 from formation_env.snapshots import Snapshot as Snapshot  # as `simulation.Snapshot`
 from formation_env.snapshots import check_snapshot
@@ -72,7 +73,7 @@ class Simulation:
         self._threads = min(self._asked, self._tiles, work, cores())
         if numba_config.DISABLE_JIT:
             self._threads = 1  # Python has no atomics
-        self._results = arrays.Shapes(config, num_worlds).results
+        self._results = Shapes(config, num_worlds).results
         self._memory = arrays.allocate(config, num_worlds, self._max_steps, _references(config))
         self._open()
         self._rooms = [arrays.room(self._memory) for _ in range(self._threads)]
@@ -197,7 +198,7 @@ class Simulation:
         if self._team is None or self._team.owner != os.getpid():
             config = self._config
             actions = np.zeros((0, config.followers, config.action_size), dtype=np.float32)
-            nobody, nothing = np.zeros(0, dtype=np.bool_), arrays.Shapes(config, 0).results(True)
+            nobody, nothing = np.zeros(0, dtype=np.bool_), Shapes(config, 0).results(True)
             serve: Any = kernels.advance
             arguments = [
                 (kernels.STEP, actions, nobody, self._memory, room, *nothing)

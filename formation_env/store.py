@@ -12,11 +12,14 @@ from math import prod
 from typing import Any, NamedTuple, final
 
 import numpy as np
+from llvmlite import ir
+from numba import from_dtype, types
 from numpy.typing import NDArray
 
-from formation_env._jit import step
+from formation_env._jit import builtin
+from formation_env.lowering import data_of, view_of, word_of
 from formation_env.records import define
-from formation_env.shuffles import carve, reinterpret
+from formation_env.shuffles import carve
 
 Floats = NDArray[np.float64]
 
@@ -59,13 +62,33 @@ class Store:
         place = [f"head[{self._head}]"]
         place += [f"{i} * head[{self._head + 1 + k}]" for k, i in enumerate(indices)]
         view = f"carve(x, {' + '.join(place)}, (head[{self._head + rank}],))"
-        if kind is not np.float64:
-            view = f"reinterpret({view}, kind)"
-        source = f"def {name}({', '.join(['x', *indices])}):\n"
-        source += f"    head = reinterpret(x, integer)\n    return {view}\n"
+        source = f"def {name}({', '.join(['x', *indices])}):\n    head = x.view(integer)\n"
+        source += f"    return {view}.view(kind)\n"
+        function = define(name, source, {"carve": carve, "kind": kind, "integer": np.int64})
+        give = builtin(_takes(rank, types.Array(from_dtype(np.dtype(kind)), 1, "C")), self._build())
         self._head += rank + 1
-        space = {"carve": carve, "reinterpret": reinterpret, "kind": kind, "integer": np.int64}
-        return step(define(name, source, space))
+        return give(function)
+
+    def _build(self) -> Any:
+        """What LLVM is to do for a view of the field whose head comes next."""
+        at = self._head
+
+        def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            given = (context, builder, signature, arguments)
+            data, view = data_of(*given, 0), signature.return_type
+            place = _head_word(builder, data, at)
+            for k in range(1, len(arguments)):
+                stride = _head_word(builder, data, at + k)
+                place = builder.add(place, builder.mul(word_of(*given, k), stride))
+            count = _head_word(builder, data, at + len(arguments))
+            number = context.get_data_type(view.dtype)
+            first = builder.bitcast(builder.gep(data, [place]), number.as_pointer())
+            per_word = _WORD // context.get_abi_sizeof(number)
+            return view_of(
+                context, builder, view, first, [builder.mul(count, count.type(per_word))]
+            )
+
+        return build
 
     def allocate(self, sizes: Any) -> Floats:
         """Memory for all arrays, zeros but for its head."""
@@ -113,5 +136,21 @@ def _words(count: int, kind: Any) -> int:
 def size_reader(sizes: Any, name: str) -> Any:
     """`size(memory)`: one of the sizes, in compiled code."""
     k = sizes._fields.index(name)
-    source = f"def {name}(x):\n    return reinterpret(x, integer)[{k}]\n"
-    return step(define(name, source, {"reinterpret": reinterpret, "integer": np.int64}))
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _head_word(builder, data_of(context, builder, signature, arguments, 0), k)
+
+    source = f"def {name}(x):\n    return x.view(integer)[{k}]\n"
+    return builtin(_takes(1, types.int64), build)(define(name, source, {"integer": np.int64}))
+
+
+def _head_word(builder: Any, data: Any, k: int) -> Any:
+    """Word `k` of the memory at `data`, as int64."""
+    head = builder.bitcast(data, ir.IntType(64).as_pointer())
+    return builder.load(builder.gep(head, [ir.IntType(64)(k)]))
+
+
+def _takes(count: int, result: Any) -> Any:
+    """A function of so many arguments that returns `result`, as Numba reads their number off it."""
+    arguments = ", ".join(f"a{k}" for k in range(count))
+    return define("typed", f"def typed({arguments}):\n    return result\n", {"result": result})

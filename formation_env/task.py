@@ -148,7 +148,7 @@ class Terms(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What a tick was for one follower: the columns of `arrays.Results.outputs`."""
+    """What a tick was for one follower: the columns of `results.Results.outputs`."""
 
     reward: float  # of this tick, the sum of its terms
     terms: Terms
@@ -158,7 +158,7 @@ class Outcome(NamedTuple):
     failed: float  # an index into FAILURES
 
 
-# Columns of `arrays.Results.outputs` by name.
+# Columns of `results.Results.outputs` by name.
 COLUMNS = slices(Outcome)
 REWARD, SEPARATION, FAILED = (COLUMNS[n].start for n in ("reward", "separation", "failed"))
 

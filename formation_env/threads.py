@@ -40,7 +40,7 @@ from numba.np import arrayobj
 from numpy.typing import NDArray
 
 from formation_env._jit import builtin, device, kernel
-from formation_env.shuffles import lengths_of, view_of
+from formation_env.lowering import lengths_of, view_of
 
 ROUND = 1e-6  # s: of waiting on the core, then others may have it
 PATIENCE = 100  # rounds: about the cost of falling asleep and waking

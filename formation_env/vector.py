@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from formation_env import faces, specs
 from formation_env.arguments import Fixed, check_options, configured, limit, whole_seed
-from formation_env.arrays import Results
 from formation_env.checks import integer, refuse
 from formation_env.config import FormationConfig
 from formation_env.kernels import STEP, STEP_AND_RESET, STEP_OR_RESET
+from formation_env.results import Results
 from formation_env.simulation import Simulation, Snapshot, seeded_key
 
 Array = NDArray[Any]

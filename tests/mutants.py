@@ -4,13 +4,14 @@
 
 Prints a verdict for each mutant; the exit status is 1 if any survives, 2 if one no longer fits the
 sources or a module's tests fail without any. `mutation` applies them; other lists are in
-`mutants_of_worlds` and `mutants_of_paths`.
+`mutants_of_core`, `mutants_of_worlds` and `mutants_of_paths`.
 """
 
 from __future__ import annotations
 
 import sys
 
+from mutants_of_core import CORE
 from mutants_of_paths import PATHS
 from mutants_of_worlds import WORLDS
 from mutation import Mutant, main
@@ -133,26 +134,6 @@ MUTANTS = [
     Mutant("turning", "room * room >= s + t", "room * room >= 0.1 * s + t"),
     Mutant("turning", "(room >= 0.0) &", "(room >= -9.0) &"),
     Mutant("turning", "t.effects[2] * abs(moment[2])", "t.effects[2] * moment[2]"),
-    # The loops over lanes: who steps, clocks, the end, who is near, headings, virtual followers.
-    Mutant("lanes", "(anew == 1) & (over[lane] != 0)", "(anew == 1) | (over[lane] != 0)"),
-    Mutant("lanes", "pick(on & (started[lane] != 0), 1.0", "pick(on | (started[lane] != 0), 1.0"),
-    Mutant("lanes", "waiting += fresh", "waiting += on"),
-    Mutant("lanes", "clock[lane] += np.int64(moving", "clock[lane] += np.int64(active"),
-    Mutant("lanes", "np.uint64(tick[lane] + 1)", "np.uint64(tick[lane])"),
-    Mutant("lanes", "starts[lane] = clock[lane] * length", "starts[lane] = lane * length"),
-    Mutant("lanes", "beyond += clock[lane] >= rows", "beyond += clock[lane] > rows"),
-    Mutant("lanes", "ended = on & (", "ended = on | ("),
-    Mutant("lanes", "impacts[lane] > limit", "impacts[lane] < limit"),
-    Mutant("lanes", "tick[lane] >= last", "tick[lane] > last"),
-    Mutant("lanes", "np.int64(ended | late)", "np.int64(ended & late)"),
-    Mutant("lanes", "tally[lane] / followers", "tally[lane]"),
-    Mutant("lanes", "(r == held) & (number < holder)", "(r == held) & (number > holder)"),
-    Mutant("lanes", "return pick(on, held, r), pick", "return pick(on, r, r), pick"),
-    Mutant("lanes", "(x, ESTIMATE, lane, on, R)", "(x, HEADING, lane, on, R)"),
-    Mutant("lanes", "(own, 0, lane), load_vector(leader", "(own, 0, lane), load_vector(own"),
-    Mutant("lanes", "pick_vector(on, moved.p, guide.p)", "pick_vector(on, guide.p, moved.p)"),
-    Mutant("lanes", "guided((m * a[0], m * a[1]", "guided((a[0], m * a[1]"),
-    Mutant("lanes", "_follow(own, ref, command, lane, RATES", "_follow(own, ref, command, lane, MOMENT"),
     # The gains: the conditions of theorems 1 and 2, (53)-(59).
     Mutant("gains", 'low = 1.0 if f.name == "k2"', 'low = 0.9 if f.name == "k2"'),
     Mutant("gains", "p12 * p12 < self.p11 * p22", "p12 * p12 < 2.0 * self.p11 * p22"),
@@ -178,6 +159,7 @@ MUTANTS = [
     Mutant("elementary", "t = -m / (m + 2.0)", "t = -m / (m - 2.0)"),
     Mutant("elementary", "size > 20.0, 20.0", "size > 2.0, 20.0"),
     Mutant("elementary", "pick(x < 0.0, -t, t)", "pick(x < 0.0, t, t)"),
+    *CORE,
     *WORLDS,
     *PATHS,
 ]  # fmt: skip

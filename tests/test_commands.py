@@ -122,9 +122,21 @@ def test_every_option_is_a_phrase(
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX shell")
-@pytest.mark.parametrize("module", ["train.ppo", "baselines.paper", "train.cards"])
+@pytest.mark.parametrize(
+    "module",
+    [
+        "baselines.paper",
+        "train.cards",
+        "train.imitate",
+        "train.ppo",
+        "train.rllib",
+        "train.tune_expert",
+    ],
+)
 def test_help_is_cut_short_in_peace(module: str) -> None:
-    """Nobody reads what `python -m` prints; nothing is said on the standard error."""
+    """What `python -m` prints goes to a closed pipe; nothing is said on the standard error."""
+    if module.startswith("train.") and module != "train.cards":
+        pytest.importorskip("tyro")
     read, write = os.pipe()
     os.close(read)
     run = subprocess.run(

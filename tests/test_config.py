@@ -16,10 +16,10 @@ from formation_env import (
     PlannerGains,
     Vehicle,
     configure,
-    memory,
     trajectories,
 )
 from formation_env.leader_path import FlightWarning
+from formation_env.records import flatten, line_loader
 from formation_env.trajectories import circle
 
 
@@ -180,11 +180,11 @@ def numbered(template: Any, start: int = 1) -> tuple[Any, int]:
 def test_settings_come_back_from_the_flat_array() -> None:
     """Every number is another one, so an exchanged index cannot hide."""
     config = configure("experiment", noise=Noise(*np.linspace(0.1, 0.5, 5).tolist()))
-    template = memory.Settings(config.world, config.reward, config.limits)
-    settings, stop = numbered(template)
-    flat = np.array(memory.flatten(settings))
-    np.testing.assert_array_equal(flat, np.arange(1.0, stop))
-    assert memory.unpack(flat) == settings
+    for template in (config.world, config.reward, config.limits):
+        settings, stop = numbered(template)
+        flat = np.array(flatten(settings))
+        np.testing.assert_array_equal(flat, np.arange(1.0, stop))
+        assert line_loader(type(template))(flat) == settings
 
 
 def test_the_kernels_get_what_was_configured() -> None:

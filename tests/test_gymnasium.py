@@ -17,6 +17,7 @@ from gymnasium.utils.env_checker import check_env
 
 from formation_env import Limits, trajectories
 from formation_env.env import FormationEnv
+from formation_env.levels import REFERENCE
 from formation_env.quadrotor import GRAVITY
 from formation_env.simulation import Simulation
 from formation_env.task import (
@@ -28,7 +29,6 @@ from formation_env.task import (
     Layout,
     Terms,
 )
-from formation_env.world import REFERENCE
 
 PYGAME = importlib.util.find_spec("pygame") is not None
 HOVER = trajectories.hover()

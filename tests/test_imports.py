@@ -156,7 +156,11 @@ def test_no_module_imports_itself_by_way_of_others() -> None:
             "def f() -> None:\n    from train.ppo import networks",
             "train.ppo.networks",
         ),
-        ("baselines/intervals.py", "from baselines.scoring import Report", "baselines.scoring"),
+        (
+            "baselines/scoring/intervals.py",
+            "from baselines.scoring.results import Report",
+            "baselines.scoring.results",
+        ),
     ],
 )
 def test_a_circle_is_found(tmp_path: Path, importer: str, statement: str, circle: str) -> None:

@@ -14,8 +14,8 @@ from baselines.scoring.intervals import Estimate, estimate, mean, normalised, su
 from baselines.scoring.metrics import EPISODE, KINDS, SETTLED, add_tick, begin, episodes
 from baselines.scoring.rollout import fly as fly_policy
 from formation_env import FormationConfig, configure, splines
-from formation_env.memory import ERROR, FAILED, OUTPUTS, SEPARATION, SLOT
-from formation_env.task import COLLISION
+from formation_env.records import size
+from formation_env.task import COLLISION, COLUMNS, FAILED, SEPARATION, Outcome
 
 TICKS = 200  # of 0.02 s
 OFFSETS = np.array(configure("nominal").offsets)
@@ -52,8 +52,8 @@ def fly(
         leaders = np.full((2 if k >= TICKS // 2 else 0, 3), np.nan)
         leaders[:1] = leader
         slots = leader - OFFSETS
-        outputs = np.full((2, 2, len(OUTPUTS)), np.nan)
-        outputs[0, :, SLOT : SLOT + 3], outputs[0, :, ERROR : ERROR + 3] = slots, errors[k]
+        outputs = np.full((2, 2, size(Outcome)), np.nan)
+        outputs[0, :, COLUMNS["slot"]], outputs[0, :, COLUMNS["slot_error"]] = slots, errors[k]
         outputs[0, :, SEPARATION] = 0.7 - 0.001 * k
         last = k == ticks - 1
         outputs[0, :, FAILED] = failed if last else 0

@@ -13,7 +13,18 @@ from mutation import Mutant, apply, source
 # Modules of laws: of each, some symbols are broken.
 LAWS = (
     *("planner", "slots", "tracker", "quadrotor", "so3", "turning", "elementary", "gains"),
-    *("world", "sensors", "task", "rng"),
+    *("world", "sensors", "task", "rng", "levels", "disturbances"),
+    *(
+        "records",
+        "store",
+        "tiles",
+        "shuffles",
+        "flight",
+        "judging",
+        "measuring",
+        "neighbours",
+        "nearest",
+    ),
     *("references", "random_paths", "tables", "splines", "trajectories"),
     *("feasibility", "formations"),
 )

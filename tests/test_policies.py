@@ -11,13 +11,13 @@ import pytest
 
 from baselines import POLICIES, make_policy
 from baselines.policies import expert_lanes
-from baselines.policies.expert import Expert
 from baselines.policies.base import Policy
+from baselines.policies.expert import Expert
 from formation_env import FormationConfig, configure
-from formation_env.memory import ERROR
 from formation_env.quadrotor import GRAVITY
 from formation_env.records import slices
 from formation_env.simulation import Simulation, seeded_key
+from formation_env.task import COLUMNS
 from formation_env.trajectories import hover
 
 LEVELS = ("wrench", "rates", "reference")
@@ -88,7 +88,7 @@ def settle(policy: Policy, config: FormationConfig, seconds: float) -> np.ndarra
     policy.reset(seed=0, worlds=3)
     for _ in range(round(seconds / config.control_period)):
         results = simulation.step(policy.act(results.observations))
-    return np.linalg.norm(results.outputs[..., ERROR : ERROR + 3], axis=-1)
+    return np.linalg.norm(results.outputs[..., COLUMNS["slot_error"]], axis=-1)
 
 
 @pytest.mark.parametrize(
@@ -208,7 +208,7 @@ def test_the_experts_loops_are_vector_code() -> None:
     """Packed arithmetic in the machine code, compiled anew (a kernel from the cache has no listing)."""
     program = (
         "import numpy as np\n"
-        "from baselines import expert_lanes as e\n"
+        "from baselines.policies import expert_lanes as e\n"
         "from formation_env import configure\n"
         "L = e.LANES\n"
         "rows, x = np.ones(e.OBSERVED * L, np.float32), np.ones(e.VIRTUAL * L)\n"

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from episodes import SCENARIOS
 from scipy.stats import kstest
+from states import outcome
 
 from formation_env import configure, scenarios
 from formation_env.env import FormationEnv
@@ -131,25 +132,24 @@ def test_in_formation_followers_start_uniformly_in_a_ball() -> None:
     simulation = Simulation(configure(), worlds)
     for i in range(worlds):
         simulation.seed(i, i)
-    outputs = simulation.reset().outputs
-    away = outputs[:, :, 8:11].reshape(-1, 3)
+    followers = outcome(simulation.reset(), "slot_error")
+    away = followers.reshape(-1, 3)
     r = np.linalg.norm(away, axis=1)
     assert r.max() <= 0.2
     assert kstest((r / 0.2) ** 3, "uniform").pvalue > 0.01
     direction = away / r[:, None]
     for axis in range(3):  # Archimedes: each coordinate of a uniform direction is uniform
         assert kstest(0.5 * (direction[:, axis] + 1.0), "uniform").pvalue > 0.01
-    followers = outputs[:, :, 8:11]
     correlation = np.corrcoef(followers[:, 0, 0], followers[:, 1, 0])[0, 1]
     assert abs(correlation) < 4.0 / np.sqrt(worlds)
 
 
 def test_in_formation_followers_are_level_and_move_with_their_slots() -> None:
     world = started("agile")
-    slots = world.look().outputs[0, :, 5:8]
+    slots = outcome(world.look(), "slot")[0]
     np.testing.assert_array_equal(world.attitudes[0, 1:], [[1, 0, 0, 0]] * 2)
     np.testing.assert_array_equal(world.angular_velocities[0, 1:], 0.0)
     velocity = world.velocities[0, 1:].copy()
     world.step(np.zeros((1, 2, 4), np.float32))
-    moved = (world.look().outputs[0, :, 5:8] - slots) / world.config.control_period
+    moved = (outcome(world.look(), "slot")[0] - slots) / world.config.control_period
     np.testing.assert_allclose(velocity, moved, atol=0.02)

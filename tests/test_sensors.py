@@ -9,13 +9,24 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from scipy.spatial.transform import Rotation
+from states import filled, line, measured_in
 
-from formation_env import Limits, Noise, configure, lanes, trajectories
+from formation_env import Limits, Noise, arrays, configure, trajectories
+from formation_env._jit import kernel
 from formation_env.config import FormationConfig
-from formation_env.quadrotor import GRAVITY
+from formation_env.flight import sense_exactly
+from formation_env.measuring import measure_with_noise
+from formation_env.quadrotor import GRAVITY, Wrench
+from formation_env.records import LANES, size
 from formation_env.scenarios import PAPER_NOISE
 from formation_env.sensors import Measured, angular_difference, corrupt
 from formation_env.simulation import Simulation
+
+
+@kernel
+def _measure(memory: Any, room: Any, t: int, i: int) -> None:
+    measure_with_noise(memory, room, t, i)
+
 
 FREE = Limits(collision=1e-3, impact=1e3, tilt=-1.0, lost=1e4)
 HOVER = trajectories.hover()
@@ -121,28 +132,31 @@ def test_one_kind_of_noise_leaves_the_others_exact(field: str) -> None:
 
 
 def test_noise_in_all_lanes_is_that_of_one_vehicle() -> None:
-    """`lanes.sense`, in steps over all lanes, against `sensors.corrupt`, bit for bit.
+    """`measure_with_noise`, in steps over all lanes, against `sensors.corrupt`, bit for bit.
 
     But for the acceleration: with or without noise to be added, its sum is fused in another way.
     """
-    n, noise, who = lanes.LANES, Noise(0.2, 0.1, 0.01, 0.3, 0.02), 2
-    draw = np.random.default_rng(4)
-    x = draw.normal(size=(16, n))
-    x[9:13] /= np.linalg.norm(x[9:13], axis=0)
-    keys, counts = draw.integers(0, 2**63, n).astype(np.uint64), np.arange(n, dtype=np.uint64)
-    frame = configure("paper").vehicle.airframe()
-    exact, noisy, room = x.ravel(), np.zeros(16 * n), np.zeros(16 * n, np.float32)
-    fixed = (exact, draw.normal(size=4 * n), draw.normal(size=3 * n), np.zeros(3 * n))
-    lanes.sense_exactly(*fixed, frame)
-    lanes.sense(*fixed, noisy, frame, noise, keys, counts, who, room)
-    exact, noisy = exact.reshape(16, n), noisy.reshape(16, n)
-    for lane in range(n):
-        m = exact[:, lane].tolist()
-        truth = Measured(tuple(m[:3]), tuple(m[3:6]), tuple(m[6:9]), tuple(m[9:13]), tuple(m[13:]))
-        told = corrupt(truth, noise, keys[lane], who, counts[lane])
-        told, seen = np.concatenate(told), noisy[:, lane]
-        np.testing.assert_allclose(told[6:9], seen[6:9], rtol=0.0, atol=1e-14)
-        np.testing.assert_array_equal(np.delete(told, slice(6, 9)), np.delete(seen, slice(6, 9)))
+    noise, who = Noise(0.2, 0.1, 0.01, 0.3, 0.02), 2
+    flight = begin(configure(noise=noise), 20)[0]
+    memory, room, draw = flight._memory, flight._rooms[0], np.random.default_rng(4)
+    views, rooms = arrays.MEMORY.views(memory), arrays.ROOM.views(room)
+    x, keys = views["vehicles"][1, who], views["episode_keys"][1]
+    x[: size(Measured) * LANES] = filled(Measured, draw)
+    keys[:] = draw.integers(0, 2**63, LANES)
+    rooms["counts"][:] = np.arange(LANES)
+    rooms["commands"][who] = draw.normal(size=size(Wrench) * LANES)
+    rooms["pushes"][who] = draw.normal(size=3 * LANES)
+    rooms["touches"][who] = 0.0
+    _measure(memory, room, 1, who)
+    told = views["samples"][1, who, 0].copy()
+    frame = line(flight.config.world.airframe)
+    exact = x.copy()
+    sense_exactly(rooms["commands"][who], rooms["touches"][who], exact, rooms["pushes"][who], frame)
+    for lane in range(LANES):
+        seen, truth = measured_in(told, lane), measured_in(exact[: len(told)], lane)
+        alone = corrupt(truth, noise, keys[lane], who, rooms["counts"][lane])
+        np.testing.assert_allclose(alone.a, seen.a, rtol=0.0, atol=1e-14)
+        assert alone._replace(a=seen.a) == seen
 
 
 # -- delay and rate -------------------------------------------------------------------------------------

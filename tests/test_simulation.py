@@ -19,9 +19,9 @@ import numpy as np
 import pytest
 from episodes import wild
 from numba import config as numba_config
-from states import begun, rows, still
+from states import begun, counters, disturbances, still
 
-from formation_env import configure, kernels, memory, simulation, splines, trajectories
+from formation_env import arrays, configure, kernels, simulation, splines, trajectories
 from formation_env.exclusive import Exclusive
 from formation_env.rng import words
 from formation_env.simulation import Simulation
@@ -145,7 +145,7 @@ def test_copies_are_free_and_independent() -> None:
     with flight._alone:
         others = [copy.deepcopy(flight), pickle.loads(pickle.dumps(flight))]
     for other in others:
-        assert held(flight, lambda one=other: one.step(still(one)).ends.shape) == (3, 2)  # type: ignore[misc]
+        assert held(flight, lambda one=other: one.step(still(one)).rewards.shape) == (2,)  # type: ignore[misc]
     assert flight.time.tolist() == [0.0, 0.0]
 
 
@@ -175,7 +175,10 @@ def test_an_interrupt_ends_two_stepping_threads() -> None:
         assert run.stdout.readline() == "ready\n"
         time.sleep(0.3)
         run.send_signal(signal.SIGINT)
-        _, errors = run.communicate(timeout=LONG)
+        try:
+            _, errors = run.communicate(timeout=LONG)
+        finally:
+            run.kill()
     assert "KeyboardInterrupt" in errors
 
 
@@ -229,6 +232,13 @@ def test_nothing_of_it_can_be_assigned(name: str) -> None:
 
 TIMES = np.linspace(0.0, 30.0, 40)
 POINTS = np.stack([np.sin(TIMES), 2.0 * np.cos(0.7 * TIMES), -1.5 - 0.3 * np.sin(TIMES)], axis=1)
+
+
+def _lines(flight: Simulation) -> int:
+    """Of the leader's reference that are tabulated."""
+    return len(arrays.MEMORY.views(flight._memory)["references"]) // arrays.LINE
+
+
 PATHS: dict[str, Callable[[], Any]] = {
     "sines": trajectories.figure_eight,
     "circle": trajectories.circle,
@@ -250,8 +260,8 @@ def test_a_reference_evaluated_is_the_one_tabulated(
     tabulated = Simulation(config, 3)
     monkeypatch.setattr(simulation, "TABULATED", 0)
     evaluated = Simulation(config, 3)
-    assert len(memory.views(tabulated._memory)[0].references) == config.max_steps + 1
-    assert len(memory.views(evaluated._memory)[0].references) == 0
+    assert _lines(tabulated) == config.max_steps + 1
+    assert _lines(evaluated) == 0
     for flight in (tabulated, evaluated):
         for world in range(3):
             flight.seed(world, world)
@@ -259,7 +269,7 @@ def test_a_reference_evaluated_is_the_one_tabulated(
     for k, actions in enumerate(wild(140, *tabulated._shape) * np.float32(0.02)):
         mode = kernels.STEP_OR_RESET if k < 60 else kernels.STEP
         for flight in (tabulated, evaluated):
-            flight._state.counters[memory.STARTED] = 1
+            counters(flight._state.counters)["started"][:] = 1
         one, two = (flight.step(actions, mode) for flight in (tabulated, evaluated))
         assert one.observations.tobytes() == two.observations.tobytes(), k
         assert one.outputs.tobytes() == two.outputs.tobytes(), k
@@ -299,16 +309,16 @@ def test_late_ticks_are_as_good_as_early_ones(scenario: str) -> None:
         2, scenario, duration=MAX_TICKS * 0.02, gust=1.0, trajectory=trajectories.hover()
     )
     snapshot = flight.get_state()
-    snapshot.state["counters"][memory.TICK] = MAX_TICKS - 3
-    snapshot.state["counters"][memory.CLOCK] = MAX_TICKS - 3
+    for name in ("tick", "clock"):
+        counters(snapshot.state["counters"])[name][:] = MAX_TICKS - 3
     flight.set_state(snapshot)
     truncated = []
     for _ in range(3):
         results = flight.step(still(flight))
         assert np.isfinite(results.outputs).all()
-        assert np.abs(rows(flight._state.vehicles)[:, :, 16:19]).max() < 6.0  # the gust, m/s^2
-        truncated.append(results.ends[2].tolist())
-    assert truncated == [[0.0, 0.0], [0.0, 0.0], [1.0, 1.0]]
+        assert np.abs(disturbances(flight)["gusts"]).max() < 6.0  # m/s^2
+        truncated.append(results.truncated.tolist())
+    assert truncated == [[False, False], [False, False], [True, True]]
 
 
 def test_random_draws_go_on_beyond_32_bits() -> None:

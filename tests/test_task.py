@@ -13,11 +13,12 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
+from states import outcome
 
 from formation_env import Limits, Rewards, configure, trajectories
+from formation_env.levels import REFERENCE
 from formation_env.simulation import Simulation
 from formation_env.task import FAILURES, LOST, NO_FAILURE, Layout, failure, reward
-from formation_env.world import REFERENCE
 
 FREE = Limits(collision=1e-3, impact=1e3, tilt=-1.0, lost=1e4)
 Floats = npt.NDArray[np.float64]
@@ -53,7 +54,7 @@ def test_observation_without_noise_is_the_truth(scenario: str, level: str) -> No
     n, k = world.config.followers, world.config.action_size
     for row in gentle(60, n * k, seed=5) * np.float32(10.0):
         world.step(row.reshape(1, n, k))
-        seen, slots = seen_now(world), world.look().outputs[0, :, 5:8]
+        seen, slots = seen_now(world), outcome(world.look(), "slot")[0]
         p, v, w = world.positions[0], world.velocities[0], world.angular_velocities[0]
         R = Rotation.from_quat(world.attitudes[0][:, [1, 2, 3, 0]]).as_matrix()
         for i, d in enumerate(world.config.offsets):
@@ -146,10 +147,10 @@ def test_slots_solve_the_zero_dynamics(scenario: str) -> None:
     world = begin(scenario, **options)
     h = world.config.control_period
     path, velocity = [world.positions[0, 0]], [world.velocities[0, 0]]
-    slots = [world.look().outputs[0, :, 5:8]]
+    slots = [outcome(world.look(), "slot")[0]]
     calm = np.zeros((1, 2, 4), np.float32)
     for _ in range(400):
-        slots.append(world.step(calm).outputs[0, :, 5:8])
+        slots.append(outcome(world.step(calm), "slot")[0])
         path.append(world.positions[0, 0])
         velocity.append(world.velocities[0, 0])
     t = h * np.arange(401)
@@ -174,7 +175,7 @@ def test_slots_do_not_depend_on_who_flies_to_them() -> None:
     one, two = begin("agile"), begin("agile")
     for a, b in zip(gentle(100, 8), gentle(100, 8, seed=9) * np.float32(30.0), strict=True):
         first, second = one.step(a.reshape(1, 2, 4)), two.step(b.reshape(1, 2, 4))
-        np.testing.assert_array_equal(first.outputs[0, :, 5:8], second.outputs[0, :, 5:8])
+        np.testing.assert_array_equal(outcome(first, "slot")[0], outcome(second, "slot")[0])
     assert np.abs(one.positions[0, 1:] - two.positions[0, 1:]).max() > 0.01
 
 
@@ -184,7 +185,7 @@ def test_with_noise_the_estimated_heading_strays_but_not_far() -> None:
     calm = np.zeros((1, 2, 4), np.float32)
     errors = []
     for _ in range(500):
-        slots = world.step(calm).outputs[0, :, 5:8]
+        slots = outcome(world.step(calm), "slot")[0]
         R = (world.positions[0, 0] - slots)[0]
         d = world.config.offsets[0]
         true = np.arctan2(R[1], R[0]) - np.arctan2(d[1], d[0])

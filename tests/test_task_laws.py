@@ -12,11 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from formation_env import Limits, Rewards, task
+from formation_env import Limits, Rewards, so3, task
+from formation_env.levels import LEVELS, NAMES, Estimate, Guide, view_guide
 from formation_env.sensors import Measured
 from formation_env.so3 import Vector
-from formation_env.task import COLLISION, IMPACT, LOST, NO_FAILURE, Layout
-from formation_env.world import RATE, REFERENCE, WRENCH, Action, Guide
+from formation_env.task import COLLISION, IMPACT, LOST, NO_FAILURE, Layout, Passing
+from formation_env.world import Action
 
 MEASURED = st.builds(
     Measured, vectors(5.0), vectors(3.0), vectors(2.0), quaternions(), vectors(4.0)
@@ -69,12 +70,15 @@ def test_a_follower_observes_in_the_formation_frame(
 def test_others_are_observed_from_where_the_follower_is(
     own: Measured, other: Measured, angle: float
 ) -> None:
-    seen = task.observe_neighbour(own, other, heading(angle))
-    guide = task.observe_guide(own, Guide(other.p, other.v), heading(angle))
+    R = heading(angle)
+    seen = task.observe_neighbour(Passing(own.p, own.v), Passing(other.p, other.v), R, True)
+    guide = view_guide(Estimate(R), Guide(other.p, other.v), own)
     p, v = (into(angle, np.subtract(a, b)) for a, b in ((other.p, own.p), (other.v, own.v)))
-    assert seen.present == 1.0
-    agree([*seen.position, *seen.velocity], [*p, *v], 1e-13)
-    agree([*guide.p, *guide.v], [*p, *v], 1e-13)
+    assert seen.neighbour_present == 1.0
+    agree([*seen.neighbour_position, *seen.neighbour_velocity], [*p, *v], 1e-13)
+    agree([*guide.guide_position, *guide.guide_velocity], [*p, *v], 1e-13)
+    none = task.observe_neighbour(Passing(own.p, own.v), Passing(other.p, other.v), R, False)
+    assert none == (0.0, so3.ZERO, so3.ZERO)
 
 
 @PROPERTY
@@ -137,7 +141,7 @@ def test_the_formation_term_at_its_ends(error: float, formation: float) -> None:
 # -- the layout -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("level", [WRENCH, RATE, REFERENCE])
+@pytest.mark.parametrize("level", range(len(LEVELS)), ids=NAMES)
 @pytest.mark.parametrize("neighbours", [0, 3])
 def test_entries_lie_side_by_side(level: int, neighbours: int) -> None:
     """Each entry of a row has one name, one place and one bound; neighbours come last, one by one."""
@@ -145,8 +149,7 @@ def test_entries_lie_side_by_side(level: int, neighbours: int) -> None:
     row = np.arange(float(layout.size))
     named = layout.unpack(row)
     sizes = [(entry.name, entry.size, entry.bound) for entry in task.ENTRIES]
-    if level == REFERENCE:
-        sizes += [(entry.name, entry.size, entry.bound) for entry in task.REFERENCE_ENTRIES]
+    sizes += [(one.name, one.size, one.bound) for one in task.entries(LEVELS[level].view)]
     start = 0
     for name, size, bound in sizes:
         assert named[name].tolist() == list(range(start, start + size))
@@ -163,13 +166,13 @@ def test_entries_lie_side_by_side(level: int, neighbours: int) -> None:
 
 def test_entries_are_the_fields_of_an_observation() -> None:
     assert tuple(entry.name for entry in task.ENTRIES) == task.Observation._fields
-    names = tuple(f"neighbour_{field}" for field in task.Neighbour._fields)
-    assert tuple(entry.name for entry in task.NEIGHBOUR_ENTRIES) == names
+    names = tuple(entry.name for entry in task.NEIGHBOUR_ENTRIES)
+    assert names == task.Neighbour._fields
 
 
 @pytest.mark.parametrize("size", [0, 1])
 def test_rows_and_names_of_another_layout_are_refused(size: int) -> None:
-    layout = Layout(WRENCH, 1)
+    layout = Layout(NAMES.index("wrench"), 1)
     with pytest.raises(ValueError, match=r"observation has shape"):
         layout.unpack(np.zeros((2, size * (layout.size + 1))))
     named = layout.unpack(np.zeros(layout.size))

@@ -33,7 +33,7 @@ from baselines.files import save as save_policy
 from baselines.policies.expert import Expert
 from baselines.policies.learned import Learned
 from formation_env import configure, formation_v0
-from formation_env.memory import REWARD
+from formation_env.task import REWARD
 from formation_env.vector import FormationVectorEnv
 from train import checkpoint, ppo
 from train.log import HEADER

@@ -11,8 +11,8 @@ from gymnasium.vector import AutoresetMode
 
 from baselines import make_policy
 from formation_env import configure
-from formation_env.memory import REWARD
 from formation_env.simulation import Simulation, seeded_key
+from formation_env.task import REWARD
 from train.rllib.rows import FollowerRows
 from train.seeds import TRAINING_SEEDS
 

@@ -15,8 +15,9 @@ import pytest
 
 pytest.importorskip("tyro")
 
-from baselines.policies.expert import Expert
 from baselines.files import Card, Network
+from baselines.policies.actions import corrected, correction_towards
+from baselines.policies.expert import Expert
 from baselines.policies.learned import Learned
 from formation_env import configure
 from train import imitate, ppo, rllib
@@ -24,7 +25,6 @@ from train.command_line import read_options
 from train.imitate.options import Options as ImitateOptions
 from train.options import PPOOptions, RunOptions
 from train.ppo.options import Options as PPO
-from train.residual import corrected, correction_towards
 from train.rllib.options import Options as RLlib
 from train.rows import EarlyEnds
 

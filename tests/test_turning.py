@@ -8,15 +8,19 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from numba import config as numba_config
-from states import P, Q, V, W, begun, still, unchecked, vehicles
+from states import PARTS, begun, line, still, tile, unchecked, vehicles
 
-from formation_env import Vehicle, configure, kernels, lanes
-from formation_env.lanes import LANES
-from formation_env.quadrotor import GRAVITY, MOMENT, RATES, Airframe
+from formation_env import Vehicle, configure, flight, kernels
+from formation_env.arrays import rows
+from formation_env.quadrotor import GRAVITY, MOMENT, RATES, Airframe, Wrench
+from formation_env.records import LANES
+from formation_env.sensors import Measured
 from formation_env.simulation import Simulation
 from formation_env.turning import turning
+from formation_env.world import Clock
 
 Floats = npt.NDArray[np.float64]
+Named = dict[str, Floats]
 PERIOD = 0.02
 
 
@@ -37,14 +41,12 @@ def product(q: Floats, w: Floats) -> Floats:
 
 
 class Flight:
-    """States `(16, N)`, commands `(4, N)`, gusts `(3, N)`: flown by substeps."""
+    """States and commands by name, gusts `(3, LANES)`: flown by substeps."""
 
-    def __init__(
-        self, x: Floats, command: Floats, push: Floats, frame: Any, actuation: int
-    ) -> None:
-        self.x, self.command, self.push = x.copy(), command, push
+    def __init__(self, x: Named, command: Named, push: Floats, frame: Any, actuation: int) -> None:
+        self.x, self.command, self.push = copied(x), command, push
         self.frame, self.actuation = frame, actuation
-        self.fastest, self.tilt = np.zeros(x.shape[1]), np.zeros(x.shape[1])
+        self.fastest, self.tilt = np.zeros(LANES), np.zeros(LANES)
 
     def rates(self, y: tuple[Floats, ...]) -> tuple[Floats, ...]:
         _, v, q, w = y
@@ -56,19 +58,19 @@ class Flight:
                 1 - 2 * (q[1] ** 2 + q[2] ** 2),
             ]
         )
-        a = self.push - self.command[0] / self.frame.mass * r3
+        a = self.push - self.command["thrust"] / self.frame.mass * r3
         a[2] += GRAVITY
         self.turned = np.linalg.norm(w, axis=0)
         self.tilt = np.maximum(self.tilt, np.abs(r3[2]))
         if self.actuation == MOMENT:
-            turn = (self.command[1:] - np.cross(w, J * w, axis=0)) / J
+            turn = (self.command["turn"] - np.cross(w, J * w, axis=0)) / J
         else:
-            turn = (self.command[1:] - w) / self.frame.rate_lag
+            turn = (self.command["turn"] - w) / self.frame.rate_lag
         return v, a, product(q, w), turn
 
     def substep(self, h: float) -> Floats:
         """Fly one; the heights after it."""
-        y = tuple(self.x[part].copy() for part in (P, V, Q, W))
+        y = tuple(self.x[part].copy() for part in PARTS)
 
         def ahead(step: float, k: tuple[Floats, ...]) -> tuple[Floats, ...]:
             return tuple(a + step * b for a, b in zip(y, k, strict=True))
@@ -80,27 +82,40 @@ class Flight:
         c = self.rates(ahead(h / 2, b))
         self.fastest = np.maximum(self.fastest, self.turned)  # the last stage's turns nothing
         d = self.rates(ahead(h, c))
-        for part, old, *k in zip((P, V, Q, W), y, a, b, c, d, strict=True):
+        for part, old, *k in zip(PARTS, y, a, b, c, d, strict=True):
             self.x[part] = old + h / 6 * (k[0] + 2 * k[1] + 2 * k[2] + k[3])
-        self.x[Q] /= np.linalg.norm(self.x[Q], axis=0)
-        return self.x[2].copy()
+        self.x["q"] /= np.linalg.norm(self.x["q"], axis=0)
+        return np.array(self.x["p"][2])
+
+
+def grounded() -> tuple[Named, Named, Floats]:
+    """At rest, level and in the origin; no command; no gust."""
+    x = rows(tile(Measured), Measured)
+    x["q"][0] = 1.0
+    return x, rows(tile(Wrench), Wrench), np.zeros((3, LANES))
+
+
+def copied(named: Named) -> Named:
+    return {name: part.copy() for name, part in named.items()}
+
+
+def flat(named: Named) -> Floats:
+    """The rows of a tile from those of each name, in order."""
+    return np.concatenate([part.ravel() for part in named.values()])
 
 
 def certain(
-    x: Floats, command: Floats, push: Floats, frame: Any, substeps: int, actuation: int
+    x: Named, command: Named, push: Floats, frame: Any, substeps: int, actuation: int
 ) -> Any:
     """Of which lanes the bound says that they stay up."""
     found = []
-    flat = x.ravel().copy(), command.ravel().copy(), push.ravel().copy()
+    clock = Clock(PERIOD, substeps, substeps, 0, 0)
+    constants = line(clock), line(frame), line(turning(frame, PERIOD, substeps))
     for lane in range(LANES):
         active = np.zeros(LANES)
         active[lane] = 1.0
-        if actuation == MOMENT:
-            constants = turning(frame, PERIOD, substeps)
-            count = lanes.doubtful_by_moment(*flat, active, PERIOD, frame.mass, constants)
-        else:
-            count = lanes.doubtful_by_rates(*flat, active, PERIOD, PERIOD / substeps, frame)
-        found.append(count == 0)
+        given = flat(x), flat(command), push.ravel(), active
+        found.append(flight.count_landing(*given, *constants, actuation) == 0)
     return np.array(found)
 
 
@@ -119,7 +134,7 @@ def body(draw: np.random.Generator, spread: float) -> Any:
     return tuple(10.0 ** draw.uniform(-7, -2) * (masses.sum() - masses))
 
 
-def scene(seed: int) -> tuple[Floats, Floats, Floats, Airframe, int, int]:
+def scene(seed: int) -> tuple[Named, Named, Floats, Airframe, int, int]:
     """A random vehicle, clock and 16 states, most of them turning about as fast as the bound allows."""
     draw = np.random.default_rng(seed)
     actuation, substeps = int(draw.integers(0, 2)), int(draw.choice([1, 1, 2, 3, 4, 8, 20]))
@@ -133,26 +148,26 @@ def scene(seed: int) -> tuple[Floats, Floats, Floats, Airframe, int, int]:
         rate_max=(1.0,) * 3,
         rate_lag=h * 10.0 ** draw.uniform(-0.4, 1.5),
     )
-    x, command = np.zeros((16, LANES)), np.zeros((4, LANES))
+    x, command, _ = grounded()
     push = draw.normal(size=(3, LANES)) * draw.choice([0.0, 1.0, 30.0])
-    x[Q] = draw.normal(size=(4, LANES))
-    x[Q, ::3] = np.array([0.0, 1.0, 0.0, 0.0])[:, None]  # upside down
-    x[Q] /= np.linalg.norm(x[Q], axis=0)
-    x[V] = draw.normal(size=(3, LANES)) * 10.0 ** draw.uniform(-2, 1, LANES)
-    x[2] = -1e6
+    x["q"][:] = draw.normal(size=(4, LANES))
+    x["q"][:, ::3] = np.array([0.0, 1.0, 0.0, 0.0])[:, None]  # upside down
+    x["q"] /= np.linalg.norm(x["q"], axis=0)
+    x["v"][:] = draw.normal(size=(3, LANES)) * 10.0 ** draw.uniform(-2, 1, LANES)
+    x["p"][2] = -1e6
     weight = frame.mass * GRAVITY
-    command[0] = weight * 10.0 ** draw.uniform(-1, 2, LANES) * draw.choice([-1, 1], LANES)
-    x[W] = draw.normal(size=(3, LANES)) * draw.integers(0, 2, (3, 1))
-    command[1:] = draw.normal(size=(3, LANES)) * 10.0 ** draw.uniform(-6, 0, LANES)
+    command["thrust"][0] = weight * 10.0 ** draw.uniform(-1, 2, LANES) * draw.choice([-1, 1], LANES)
+    x["w"][:] = draw.normal(size=(3, LANES)) * draw.integers(0, 2, (3, 1))
+    command["turn"][:] = draw.normal(size=(3, LANES)) * 10.0 ** draw.uniform(-6, 0, LANES)
     if actuation == MOMENT:
-        command[1:] *= np.array(frame.inertia)[:, None] / h
+        command["turn"] *= np.array(frame.inertia)[:, None] / h
     else:
-        command[1:, ::2] = -x[W, ::2]
+        command["turn"][:, ::2] = -x["w"][:, ::2]
 
-    def turned(factor: Floats) -> tuple[Floats, Floats]:
-        y, u = x.copy(), command.copy()
-        y[W] *= factor
-        u[1:] *= factor
+    def turned(factor: Floats) -> tuple[Named, Named]:
+        y, u = copied(x), copied(command)
+        y["w"] *= factor
+        u["turn"] *= factor
         return y, u
 
     def slow(factor: Floats) -> Any:
@@ -203,16 +218,16 @@ def test_the_verdict_is_that_of_the_proof(substeps: int) -> None:
         J = np.array(frame.inertia)[:, None]
         found = turning(frame, PERIOD, substeps)
         z, g = found.room / (1.0 - 1e-9) + found.gain, found.gain
-        x, command, push = np.zeros((16, LANES)), np.zeros((4, LANES)), np.zeros((3, LANES))
-        x[9], x[2] = 1.0, -1e6
-        x[W] = draw.normal(size=(3, LANES)) * draw.choice([0.0, 1.0], LANES)
-        x[W] *= z / (h * np.sqrt((J / J.min() * x[W] ** 2).sum(axis=0)) + 1e-300)
-        x[W] *= draw.uniform(0.0, 1.0, LANES)
-        command[1:] = draw.normal(size=(3, LANES))
-        effect = h**2 * (np.abs(command[1:]) / np.sqrt(J * J.min())).sum(axis=0)
-        command[1:] *= z * draw.uniform(0.0, 1.2 / (substeps + 1), LANES) / effect
-        s = h**2 * (J / J.min() * x[W] ** 2).sum(axis=0)
-        e = h**2 * (np.abs(command[1:]) / np.sqrt(J * J.min())).sum(axis=0)
+        x, command, push = grounded()
+        x["q"][0], x["p"][2] = 1.0, -1e6
+        x["w"][:] = draw.normal(size=(3, LANES)) * draw.choice([0.0, 1.0], LANES)
+        x["w"] *= z / (h * np.sqrt((J / J.min() * x["w"] ** 2).sum(axis=0)) + 1e-300)
+        x["w"] *= draw.uniform(0.0, 1.0, LANES)
+        command["turn"][:] = draw.normal(size=(3, LANES))
+        effect = h**2 * (np.abs(command["turn"]) / np.sqrt(J * J.min())).sum(axis=0)
+        command["turn"] *= z * draw.uniform(0.0, 1.2 / (substeps + 1), LANES) / effect
+        s = h**2 * (J / J.min() * x["w"] ** 2).sum(axis=0)
+        e = h**2 * (np.abs(command["turn"]) / np.sqrt(J * J.min())).sum(axis=0)
         most = np.sqrt(s + substeps * g * (2.0 * g + e)) + substeps * e + e + g
         clear = np.abs(most - z) > 1e-6 * z
         proved = certain(x, command, push, frame, substeps, MOMENT)
@@ -230,18 +245,18 @@ def test_what_is_certain_to_stay_up_does(first: int) -> None:
         h = PERIOD / substeps
 
         def high(factor: Floats) -> Any:
-            x[2] = -1.0 / factor  # noqa: B023
+            x["p"][2] = -1.0 / factor  # noqa: B023
             return certain(x, command, push, frame, substeps, actuation)  # noqa: B023
 
         factor = largest(high, np.full(LANES, 1e-6), np.full(LANES, 1e9), 30)
         sure = high(factor)
         seen[actuation] += int(sure.sum())
         with np.errstate(all="ignore"):
-            flight = Flight(x, command, push, frame, actuation)
-            lowest = np.max([flight.substep(h) for _ in range(substeps)], axis=0)
+            flown = Flight(x, command, push, frame, actuation)
+            lowest = np.max([flown.substep(h) for _ in range(substeps)], axis=0)
         assert (lowest[sure] < 0.0).all(), (seed, lowest[sure].max())
-        assert (h * flight.fastest[sure] <= 1.0 + 1e-9).all(), seed
-        assert (flight.tilt[sure] <= 2.25).all(), seed
+        assert (h * flown.fastest[sure] <= 1.0 + 1e-9).all(), seed
+        assert (flown.tilt[sure] <= 2.25).all(), seed
     assert min(seen.values()) > 20
 
 
@@ -249,65 +264,68 @@ def test_the_bound_is_nearly_reached() -> None:
     """Upside down, spun back and forth as fast as is certain: a stage pushes down 2.1 times the thrust."""
     h = PERIOD
     frame = Vehicle(rate_lag=h / 2).airframe()
-    x, command, push = np.zeros((16, LANES)), np.zeros((4, LANES)), np.zeros((3, LANES))
-    x[Q, :] = np.array([0.0, 1.0, 0.0, 0.0])[:, None]
-    x[15], command[3], command[0] = 0.999 / h, -0.999 / h, 1000.0
-    x[2] = -0.5
-    flight = Flight(x, command, push, frame, RATES)
-    drop = flight.substep(h) - x[2]
-    assert 2.05 < flight.tilt.max() < 2.25
+    x, command, push = grounded()
+    x["q"][:] = np.array([0.0, 1.0, 0.0, 0.0])[:, None]
+    x["w"][2], command["turn"][2], command["thrust"][0] = 0.999 / h, -0.999 / h, 1000.0
+    x["p"][2] = -0.5
+    flown = Flight(x, command, push, frame, RATES)
+    drop = flown.substep(h) - x["p"][2]
+    assert 2.05 < flown.tilt.max() < 2.25
     assert (drop > 0.57 * h * h * 1000.0 / frame.mass).all()
     for height, sure in ((drop * 0.99, False), (drop * 2.0, True)):
-        x[2] = -height
+        x["p"][2] = -height
         assert (certain(x, command, push, frame, 1, RATES) == sure).all()
 
 
 def test_a_fall_is_foreseen_exactly() -> None:
     """Without thrust, at rest and thrown up or down: to a millionth of a metre."""
     frame = Vehicle().airframe()
-    x, command, push = np.zeros((16, LANES)), np.zeros((4, LANES)), np.zeros((3, LANES))
-    x[9] = 1.0
-    x[5] = np.linspace(-3.0, 3.0, LANES)
-    fall = np.maximum(PERIOD * x[5] + 0.5 * GRAVITY * PERIOD**2, 0.0)
+    x, command, push = grounded()
+    x["q"][0] = 1.0
+    x["v"][2] = np.linspace(-3.0, 3.0, LANES)
+    fall = np.maximum(PERIOD * x["v"][2] + 0.5 * GRAVITY * PERIOD**2, 0.0)
     for actuation in (MOMENT, RATES):
-        x[2] = -fall - 1e-6
+        x["p"][2] = -fall - 1e-6
         assert certain(x, command, push, frame, 4, actuation).all()
-        x[2] = -fall + 1e-6
+        x["p"][2] = -fall + 1e-6
         assert not certain(x, command, push, frame, 4, actuation).any()
-        x[2] = -fall
+        x["p"][2] = -fall
         assert not certain(x, command, push, frame, 4, actuation).any()
         push[2] = 20.0  # a gust, that may turn
-        x[2] = -fall - 0.5 * 19.9 * PERIOD**2
-        assert not certain(x, command, push, frame, 4, actuation)[x[5] >= 0.0].any()
+        x["p"][2] = -fall - 0.5 * 19.9 * PERIOD**2
+        assert not certain(x, command, push, frame, 4, actuation)[x["v"][2] >= 0.0].any()
         push[2] = 0.0
 
 
-@pytest.mark.parametrize("part", [P, V, Q, W], ids="pvqw")
+@pytest.mark.parametrize("part", PARTS)
 @pytest.mark.parametrize("actuation", [MOMENT, RATES])
-def test_what_is_no_number_is_never_certain(part: slice, actuation: int) -> None:
+def test_what_is_no_number_is_never_certain(part: str, actuation: int) -> None:
     frame = Vehicle().airframe()
     for value in (np.nan, np.inf):
-        x, command, push = np.zeros((16, LANES)), np.zeros((4, LANES)), np.zeros((3, LANES))
-        x[9], x[2] = 1.0, -100.0
+        x, command, push = grounded()
+        x["q"][0], x["p"][2] = 1.0, -100.0
         assert certain(x, command, push, frame, 4, actuation).all()
-        if part != Q:  # an attitude has no part in it
-            x[part, ::2] = value
-        command[:, 1::2] = value
+        if part != "q":  # an attitude has no part in it
+            x[part][:, ::2] = value
+        for one in command.values():
+            one[:, 1::2] = value
         found = certain(x, command, push, frame, 4, actuation)
         assert not found[1::2].any()
-        assert found[::2].all() if part == Q else not found[::2].any()
+        assert found[::2].all() if part == "q" else not found[::2].any()
 
 
 def test_in_ordinary_flight_it_is_certain() -> None:
     """A metre up, turning as fast as a vehicle does that is not tumbling."""
     for actuation in (MOMENT, RATES):
         frame = Vehicle().airframe()
-        x, command, push = np.zeros((16, LANES)), np.zeros((4, LANES)), np.zeros((3, LANES))
-        x[9], x[2], x[5], command[0] = 1.0, -1.0, 5.0, frame.thrust_max
-        x[13] = np.linspace(-30.0, 30.0, LANES)
-        command[1:] = np.array(frame.moment_max if actuation == MOMENT else frame.rate_max)[:, None]
+        x, command, push = grounded()
+        x["q"][0], x["p"][2], x["v"][2], command["thrust"][0] = 1.0, -1.0, 5.0, frame.thrust_max
+        x["w"][0] = np.linspace(-30.0, 30.0, LANES)
+        command["turn"][:] = np.array(frame.moment_max if actuation == MOMENT else frame.rate_max)[
+            :, None
+        ]
         assert certain(x, command, push, frame, 4, actuation).all()
-        x[13] = 250.0
+        x["w"][0] = 250.0
         assert not certain(x, command, push, frame, 4, actuation).any()
 
 
@@ -319,43 +337,43 @@ def test_a_world_does_not_depend_on_what_its_neighbours_do_at_the_floor() -> Non
     tiles = 4 if numba_config.DISABLE_JIT else 600
     config = unchecked(vehicle={"inertia": (1e-6,) * 3, "moment_max": (0.05,) * 3}, substeps=1)
     flights = [Simulation(config, tiles * LANES) for _ in range(2)]
-    for flight in flights:
-        for world in range(flight.num_worlds):
-            flight.seed(world, world)
-        flight.reset()
+    for one in flights:
+        for world in range(one.num_worlds):
+            one.seed(world, world)
+        one.reset()
     draw = np.random.default_rng(2)
     state, actions = vehicles(flights[0]), still(flights[0])
-    state[:, :, 2] -= 50.0
-    low = state[:, 1:, :, 0]  # the first world of each tile
-    low[..., 2] = -(10.0 ** draw.uniform(-3, -0.5, low.shape[:2]))
-    low[..., 5] = draw.normal(size=low.shape[:2])
-    q = draw.normal(size=(*low.shape[:2], 4))
-    low[..., Q] = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    low[..., W] = draw.normal(size=(*low.shape[:2], 3)) * 30.0
+    state["p"][:, :, 2] -= 50.0
+    low = {name: part[:, 1:, :, 0] for name, part in state.items()}  # first worlds of the tiles
+    shape = low["p"].shape[:2]
+    low["p"][..., 2] = -(10.0 ** draw.uniform(-3, -0.5, shape))
+    low["v"][..., 2] = draw.normal(size=shape)
+    q = draw.normal(size=(*shape, 4))
+    low["q"][:] = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    low["w"][:] = draw.normal(size=(*shape, 3)) * 30.0
     actions[::LANES] = np.sign(draw.normal(size=actions[::LANES].shape))
-    vehicles(flights[1])[:] = state
-    vehicles(flights[1])[:, 1:, 2, 1] = -1e-9  # the second world meets the floor
-    for flight in flights:
-        flight.step(actions, kernels.STEP)
-    alone, beside = (vehicles(flight)[:, 1:, :, 0] for flight in flights)
-    np.testing.assert_array_equal(alone, beside)
+    flights[1]._state.vehicles[:] = flights[0]._state.vehicles
+    vehicles(flights[1])["p"][:, 1:, 2, 1] = -1e-9  # the second world meets the floor
+    for one in flights:
+        one.step(actions, kernels.STEP)
+    alone, beside = (vehicles(one) for one in flights)
+    for name in PARTS:
+        np.testing.assert_array_equal(alone[name][:, 1:, :, 0], beside[name][:, 1:, :, 0])
 
 
 def test_few_ticks_look_out_for_the_floor() -> None:
     """On `nominal`, hovering: none at all, though vehicles are at 1.2 m and may fall with 2 g more."""
-    flight = begun(32)
-    frame, constants = (
-        flight.config.vehicle.airframe(),
-        turning(flight.config.vehicle.airframe(), 0.02, 4),
-    )
-    command = np.zeros((4, LANES))
-    command[0] = frame.thrust_max
+    simulation = begun(32)
+    frame, clock = simulation.config.vehicle.airframe(), simulation.config.world.clock
+    constants = line(clock), line(frame), line(turning(frame, clock.period, clock.substeps))
+    _, command, push = grounded()
+    command["thrust"][:] = frame.thrust_max
+    given = flat(command), push.ravel(), np.ones(LANES)
     for _ in range(50):
-        flight.step(still(flight))
-        for tile in flight._state.vehicles:
-            for x in tile:
-                args = np.zeros(3 * LANES), np.ones(LANES), PERIOD, frame.mass, constants
-                assert lanes.doubtful_by_moment(x, command.ravel(), *args) == 0
+        simulation.step(still(simulation))
+        for tile_of_worlds in simulation._state.vehicles:
+            for x in tile_of_worlds:
+                assert flight.count_landing(x, *given, *constants, MOMENT) == 0
 
 
 def test_the_configured_vehicles_are_covered() -> None:

@@ -7,7 +7,18 @@ from typing import Any
 import numpy as np
 import pytest
 from episodes import LEVELS
-from states import A, P, Q, V, W, begun, rows, still, unchecked, vehicles
+from states import (
+    PARTS,
+    begun,
+    finite,
+    follower_rows,
+    outcome,
+    samples,
+    still,
+    term,
+    unchecked,
+    vehicles,
+)
 
 from formation_env import kernels, trajectories
 from formation_env.env import FormationEnv
@@ -18,7 +29,6 @@ from formation_env.task import COLLISION, FAILURES, LEADER, LOST, Rewards
 from formation_env.vector import FormationVectorEnv
 
 NAN, INF = float("nan"), float("inf")
-FAILED = 12  # column of `Results.outputs`
 
 
 def sound(simulation: Simulation, results: Any) -> None:
@@ -29,49 +39,50 @@ def sound(simulation: Simulation, results: Any) -> None:
             assert np.isfinite(rows_).all()
             assert (np.abs(rows_) <= bound).all()
     assert np.isfinite(results.ends).all()
-    assert np.isfinite(results.outputs[..., :5]).all()  # rewards and their terms
+    assert finite(results)
 
 
 @pytest.mark.parametrize("scenario", ["nominal", "paper", "experiment", "swarm"])
 @pytest.mark.parametrize("who", [0, 1])
-@pytest.mark.parametrize("part", [P, V, Q, W], ids="pvqw")
+@pytest.mark.parametrize("part", PARTS)
 @pytest.mark.parametrize("value", [NAN, INF, -INF, 1e200])
 def test_a_state_that_is_no_number_is_lost(
-    scenario: str, who: int, part: slice, value: float
+    scenario: str, who: int, part: str, value: float
 ) -> None:
     """At once, in its own world alone; a follower's for that follower, the leader's for all."""
     flight = begun(3, scenario)
-    vehicles(flight)[0, :, 2, 1] -= 1.0  # in the air also where they start on the floor
-    vehicles(flight)[0, who, part.start, 1] = value
+    vehicles(flight)["p"][0, :, 2, 1] -= 1.0  # in the air also where they start on the floor
+    vehicles(flight)[part][0, who, 0, 1] = value
     results = flight.step(still(flight))
     sound(flight, results)
-    assert results.ends[1].tolist() == [0.0, 1.0, 0.0]
-    failed = results.outputs[1, :, FAILED]
+    assert results.terminated.tolist() == [False, True, False]
+    failed = outcome(results, "failed")[1]
     assert (failed == LOST).all() if who == 0 else failed[0] == LOST
-    np.testing.assert_array_equal(results.outputs[1, failed == LOST, 1], 0.0)  # the formation term
+    np.testing.assert_array_equal(term(results, "formation")[1, failed == LOST], 0.0)
     np.testing.assert_array_equal(flight.over, [False, True, False])
     sound(flight, flight.look())
     sound(flight, flight.step(still(flight)))
 
 
-@pytest.mark.parametrize("part", [P, V, Q, W], ids="pvqw")
-def test_the_last_substep_is_looked_at_too(part: slice) -> None:
+@pytest.mark.parametrize("part", PARTS)
+def test_the_last_substep_is_looked_at_too(part: str) -> None:
     """With one substep a speed that overflows reaches the position a tick later only."""
     flight = begun(1, substeps=1)
-    vehicles(flight)[0, 1, part.start, 0] = NAN
-    assert flight.step(still(flight)).outputs[0, 0, FAILED] == LOST
+    vehicles(flight)[part][0, 1, 0, 0] = NAN
+    assert outcome(flight.step(still(flight)), "failed")[0, 0] == LOST
 
 
 def test_measurements_of_any_kind_are_shown_within_bounds() -> None:
     flight = begun(2, "paper", measurement_delay=2)
-    sampled = rows(flight._state.samples)
-    for part in (P, V, A, Q, W):
+    sampled = samples(flight)
+    for part in sampled.values():
         for value in (NAN, INF, -INF):
-            sampled[0, 1, :, part, 1] = value
+            part[0, 1, :, :, 1] = value
             sound(flight, flight.look())
     other = begun(2, "experiment", followers=3)
-    rows(other._state.samples)[0, 0, :, :, 0] = NAN
-    rows(other._state.followers)[0, 1, 2:4, 1] = NAN
+    for part in samples(other).values():
+        part[0, 0, ..., 0] = NAN
+    follower_rows(other)["estimate"][0, 1, :, 1] = NAN
     sound(other, other.look())
     for _ in range(3):
         sound(other, other.step(still(other)))
@@ -113,8 +124,9 @@ def test_extreme_tasks_give_finite_numbers(name: str, mode: int) -> None:
 
 def crash_leader(flight: Simulation, lane: int = 0) -> None:
     """Fast into the floor, in the next tick."""
-    leader = vehicles(flight)[0, 0, :, lane]
-    leader[P], leader[V] = (leader[0], leader[1], -0.01), (0.0, 0.0, 5.0)
+    state = vehicles(flight)
+    state["p"][0, 0, 2, lane] = -0.01
+    state["v"][0, 0, :, lane] = (0.0, 0.0, 5.0)
 
 
 def test_the_failures_have_names() -> None:
@@ -123,34 +135,34 @@ def test_the_failures_have_names() -> None:
 
 
 @pytest.mark.parametrize("action", LEVELS)
-def test_the_leaders_crash_is_told_to_all_and_paid_by_nobody(action: str) -> None:
+def test_the_leaders_crash_is_told_to_all_and_paid_by_none(action: str) -> None:
     flight, other = begun(3, action=action), begun(3, action=action)
     crash_leader(flight, 1)
     results, expected = flight.step(still(flight)), other.step(still(other))
-    np.testing.assert_array_equal(results.outputs[..., FAILED], [[0, 0], [LEADER] * 2, [0, 0]])
-    np.testing.assert_array_equal(results.ends[1], [0.0, 1.0, 0.0])
-    np.testing.assert_array_equal(results.outputs[..., 4], 0.0)  # nothing paid
+    np.testing.assert_array_equal(outcome(results, "failed"), [[0, 0], [LEADER] * 2, [0, 0]])
+    np.testing.assert_array_equal(results.terminated, [False, True, False])
+    np.testing.assert_array_equal(term(results, "failure"), 0.0)  # nothing paid
     for world in (0, 2):
         np.testing.assert_array_equal(results.observations[world], expected.observations[world])
 
 
-def test_who_fails_in_the_same_tick_keeps_the_failure_that_is_paid() -> None:
+def test_a_follower_that_fails_in_the_same_tick_keeps_the_failure_that_is_paid() -> None:
     flight = begun(1)
     crash_leader(flight)
-    state = vehicles(flight)[0, :, :, 0]
-    state[1, P] = state[0, P] + (0.0, 0.0, -0.1)
+    p = vehicles(flight)["p"][0, :, :, 0]
+    p[1] = p[0] + (0.0, 0.0, -0.1)
     results = flight.step(still(flight))
-    assert results.outputs[0, :, FAILED].tolist() == [COLLISION, LEADER]
-    assert results.outputs[0, :, 4].tolist() == [-10.0, 0.0]
+    assert outcome(results, "failed")[0].tolist() == [COLLISION, LEADER]
+    assert term(results, "failure")[0].tolist() == [-10.0, 0.0]
 
 
 def test_a_leader_that_lands_gently_ends_nothing() -> None:
     flight = begun(1, trajectory=trajectories.hover())
-    leader = vehicles(flight)[0, 0, :, 0]
-    leader[P], leader[V] = (0.0, 0.0, -0.001), (0.0, 0.0, 0.2)
+    for part, value in (("p", (0.0, 0.0, -0.001)), ("v", (0.0, 0.0, 0.2))):
+        vehicles(flight)[part][0, 0, :, 0] = value
     results = flight.step(still(flight))
-    assert not results.ends[1].any()
-    assert not results.outputs[..., FAILED].any()
+    assert not results.terminated.any()
+    assert not outcome(results, "failed").any()
 
 
 def test_every_face_tells_of_the_leaders_crash() -> None:

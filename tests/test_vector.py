@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from functools import partial
 from typing import Any
 
@@ -16,7 +14,7 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, Vecto
 from gymnasium.wrappers.vector import NormalizeObservation, RecordEpisodeStatistics
 from numba import config
 
-from formation_env import Limits, configure, kernels, lanes, simulation
+from formation_env import Limits, kernels, simulation
 from formation_env.task import Terms
 from formation_env.vector import FormationVectorEnv
 
@@ -151,23 +149,6 @@ def test_modes_go_by_name(name: str | AutoresetMode) -> None:
     assert FormationVectorEnv(1, autoreset_mode=name).metadata["autoreset_mode"] is expected
 
 
-@pytest.mark.skipif(bool(config.DISABLE_JIT), reason="nothing is compiled")
-def test_loops_take_it_that_arrays_lie_apart() -> None:
-    """Without that each would compare all addresses first, and have a scalar twin."""
-    program = (
-        "import numpy as np\n"
-        "from formation_env import lanes\n"
-        "lanes.approach(np.ones(256), np.ones(256), np.ones(256))\n"
-        "code = next(iter(lanes.approach.inspect_llvm().values()))\n"
-        "head = next(line for line in code.splitlines() if line.startswith('define'))\n"
-        "print(head.count('noalias'))\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=300
-    )
-    assert int(done.stdout) >= 2 + 3  # results and errors have it anyway; three arrays
-
-
 def test_next_step_does_not_look_at_the_action_of_an_ended_world() -> None:
     """Gymnasium's rule: that step is a reset."""
     native, sync = pair("nominal", 2, AutoresetMode.NEXT_STEP, steps=2)
@@ -187,7 +168,7 @@ def test_threads_change_no_number(worlds: int, monkeypatch: pytest.MonkeyPatch) 
     more = FormationVectorEnv(worlds, "paper", threads=3, max_episode_steps=25)
     agree(more.reset(seed=0), one.reset(seed=0))
     for actions in wild(60, worlds, 8):
-        actions[one.simulation.over] = np.nan  # of these nobody asks
+        actions[one.simulation.over] = np.nan  # which are not used
         agree(more.step(actions), one.step(actions))
     assert one.simulation._team is None
     assert more.simulation._team is not None or config.DISABLE_JIT, "the threads were not used"
@@ -197,7 +178,7 @@ def test_threads_change_no_number(worlds: int, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_results_belong_to_the_caller() -> None:
-    """SB3 writes into the rewards it is given, and nobody else may notice."""
+    """SB3 writes into the rewards it is given, and no other environment may notice."""
     spoiled = FormationVectorEnv(3, "paper", autoreset_mode="SAME_STEP", max_episode_steps=10)
     untouched = FormationVectorEnv(3, "paper", autoreset_mode="SAME_STEP", max_episode_steps=10)
     spoiled.reset(seed=0), untouched.reset(seed=0)
@@ -270,45 +251,3 @@ def test_another_memory_layout_is_not_compiled_for() -> None:
     envs.step(np.zeros((3, 16), np.float32)[:, ::2])
     envs.step(np.asfortranarray(np.zeros((3, 8), np.float32)))
     assert len(getattr(kernels.advance, "signatures", [0])) == 1
-
-
-def test_the_loops_over_lanes_are_vector_code() -> None:
-    """Packed arithmetic in the machine code, compiled anew (a kernel from the cache has no listing)."""
-    program = (
-        "import sys, numpy as np\n"
-        "from formation_env import configure, lanes, memory\n"
-        "c = configure('paper')\n"
-        "flat = memory.flatten(memory.Settings(c.world, c.reward, c.limits))\n"
-        "frame = memory.plain(memory.unpack)(np.array(flat)).world.airframe\n"
-        "x, u, push, touch = np.ones(256), np.ones(64), np.zeros(48), np.zeros(48)\n"
-        "lanes.fly_by_moment(x, u, push, 0.005, frame)\n"
-        "lanes.fly_low_by_moment(x, u, push, 0.005, frame, touch)\n"
-        "for loop in lanes.fly_by_moment, lanes.fly_low_by_moment:\n"
-        "    code = next(iter(loop.inspect_asm().values()))\n"
-        "    print(code.count('mulpd') + code.count('.2d'))\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=300
-    )
-    for packed in done.stdout.split():
-        assert int(packed) > 50  # none at all where the compiler gave up
-
-
-@pytest.mark.parametrize("actuation", ["moment", "rates"])
-def test_in_the_air_the_loop_that_minds_the_floor_flies_the_same(actuation: str) -> None:
-    """Bit for bit: which of the two flies a vehicle depends on other worlds of its tile."""
-    fly, fly_low = getattr(lanes, f"fly_by_{actuation}"), getattr(lanes, f"fly_low_by_{actuation}")
-    frame, n = configure("nominal").vehicle.airframe(), lanes.LANES
-    draw = np.random.default_rng(5)
-    for size in 10.0 ** draw.uniform(-3.0, 1.0, 200):
-        x = draw.normal(size=(16, n)) * size
-        x[2] = -1000.0 - abs(x[2])  # high up
-        x[9:13] /= np.linalg.norm(x[9:13], axis=0)
-        u, push = draw.normal(size=4 * n) * size, draw.normal(size=3 * n) * size
-        u[n:] *= 1e-4  # moments that a vehicle has
-        high, low, touch = x.ravel(), x.ravel().copy(), np.zeros(3 * n)
-        for _ in range(4):
-            fly(high, u, push, 0.005, frame)
-            fly_low(low, u, push, 0.005, frame, touch)
-        np.testing.assert_array_equal(high, low)
-        assert not touch[:n].any()

@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 from episodes import gentle
+from states import counters, outcome
 
-from formation_env import Limits, Vehicle, configure, memory, trajectories
+from formation_env import Limits, Vehicle, configure, trajectories
+from formation_env.arrays import by_world
 from formation_env.quadrotor import GRAVITY
 from formation_env.simulation import Simulation
 
@@ -135,7 +137,7 @@ def test_the_guide_moves_by_the_action() -> None:
     """Constant acceleration in the formation frame, exactly; the heading of (31) at 0 is east."""
     world = begin(action="reference", **STILL)
     a = np.array([0.3, -0.2, 0.1])
-    slots = world.look().outputs[0, :, 5:8]
+    slots = outcome(world.look(), "slot")[0]
     push(world, a, 30)
     t = 30 * H
     moved = 0.5 * 4.0 * np.float32(a).astype(np.float64) * t**2  # reference_max = 4
@@ -150,9 +152,9 @@ def test_the_guide_moves_by_the_action() -> None:
 @pytest.mark.parametrize("actuation", ["moment", "rates"])
 def test_the_tracker_brings_the_vehicle_to_the_guide(actuation: str) -> None:
     world = begin(8, action="reference", reference_actuation=actuation, trajectory=HOVER)
-    first = np.linalg.norm(world.look().outputs[:, :, 8:11], axis=2)
+    first = np.linalg.norm(outcome(world.look(), "slot_error"), axis=2)
     push(world, [0, 0, 0], 600)
-    last = np.linalg.norm(world.look().outputs[:, :, 8:11], axis=2)
+    last = np.linalg.norm(outcome(world.look(), "slot_error"), axis=2)
     assert (first > 0.05).any()
     assert last.max() < 0.1 * first.max()
 
@@ -245,7 +247,7 @@ def test_the_trigger_fires_when_all_are_near_and_not_before(late: str) -> None:
             break
         assert away.max() >= world.config.trigger
         assert world.clock[0] == 0.0
-        np.testing.assert_allclose(results.outputs[0, :, 5:8], waiting, atol=1e-12)
+        np.testing.assert_allclose(outcome(results, "slot")[0], waiting, atol=1e-12)
         seen = world.config.layout.unpack(results.observations[0].astype(np.float64))
         assert (seen["started"] == 0.0).all()
         # As seen in {F}, which looks east, from where it measures itself to be.
@@ -257,12 +259,13 @@ def test_the_trigger_fires_when_all_are_near_and_not_before(late: str) -> None:
     assert away.max() < world.config.trigger
     offsets = waiting - first
     for k in range(20):  # the heading has hardly turned yet
-        slots = world.look().outputs[0, :, 5:8]
+        slots = outcome(world.look(), "slot")[0]
         np.testing.assert_allclose(slots - world.positions[0, 0], offsets, atol=0.1)
         assert world.clock[0] == pytest.approx(k * H)
         results = world.step(calm)
         assert (world.config.layout.unpack(results.observations)["started"] == 1.0).all()
-    np.testing.assert_allclose(world.look().outputs[0, :, 7] - world.positions[0, 0, 2], 0.3)
+    height = outcome(world.look(), "slot")[0, :, 2]
+    np.testing.assert_allclose(height - world.positions[0, 0, 2], 0.3)
 
 
 def test_one_that_stays_behind_holds_the_trigger() -> None:
@@ -292,13 +295,10 @@ def test_only_masked_worlds_are_touched() -> None:
     after = world.get_state().state
     for name, array in before.items():
         old, new = array, after[name]
-        if name == "counters":  # a row of each kind
-            old, new = old.T, new.T
-        elif len(array) == 1:  # one tile of worlds side by side, the world in the last place
-            old, new = memory.by_world(array, 5), memory.by_world(after[name], 5)
-        old, new = old[:5], new[:5]  # lanes without a world behind
+        if len(array) == 1:  # one tile of worlds side by side, the world in the last place
+            old, new = by_world(array, 5), by_world(after[name], 5)  # without the unused lanes
         np.testing.assert_array_equal(new[~mask], old[~mask])
-    ticks = after["counters"][memory.TICK, :5]
+    (ticks,) = counters(after["counters"])["tick"][:, :5]
     np.testing.assert_array_equal(ticks, np.where(mask, 0, 7))
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from math import exp
-
 import numpy as np
 import pytest
 from closed_loop import (
@@ -23,13 +21,14 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from formation_env import Vehicle, configure, quadrotor, so3, tracker, world
+from formation_env import Vehicle, configure, levels, quadrotor, sensors, so3, tracker, world
+from formation_env.levels import Guide
 from formation_env.quadrotor import GRAVITY, MOMENT, RATES, Body, Wrench
 from formation_env.sensors import Measured
 from formation_env.slots import Slot
 from formation_env.so3 import Quaternion, Vector
-from formation_env.trajectories import Reference
-from formation_env.world import Clock, Guide, Gusts, Reach, World
+from formation_env.trajectories import TrajectoryPoint
+from formation_env.world import Clock, Reach, World
 
 # No two numbers alike and none special, so that none can stand for another.
 FRAME = Vehicle(mass=0.13, inertia=(1.1e-3, 0.9e-3, 1.7e-3), rate_lag=0.07).airframe()
@@ -61,7 +60,7 @@ def turned(angle: float, a: Vector) -> Array:
 @given(ACTIONS)
 def test_a_driven_action_spans_what_the_actuators_reach(action: world.Action) -> None:
     """-1 is no thrust, 0 half of it and +1 all, in proportion; turns are in proportion too."""
-    found = world.driven(action, WORLD)
+    found = levels.driven(action, WORLD)
     agree(found.thrust, np.interp(action[0], [-1.0, 0.0, 1.0], [0.0, 1.45, 2.9]), 1e-14)
     agree(found.turn, np.diag([0.05, 0.04, 0.02]) @ action[1:], 1e-15)
 
@@ -72,7 +71,7 @@ def test_a_guided_action_accelerates_in_the_formation_frame(
     action: world.Action, p: Vector, v: Vector, heading: float
 ) -> None:
     R = complex(np.cos(heading), np.sin(heading))
-    ref = world.guided(action, Guide(p, v), R, WORLD)
+    ref = levels.guided(action, Guide(p, v), R, WORLD)
     assert (ref.p, ref.v) == (p, v)
     agree(ref.a, turned(heading, vector(np.diag([4.0, 3.0, 2.0]) @ action[:3])), 1e-14)
     assert ref.j == ref.s == so3.ZERO
@@ -82,7 +81,7 @@ def test_a_guided_action_accelerates_in_the_formation_frame(
 @given(vectors(3.0), vectors(3.0), vectors(4.0), st.floats(0.01, 2.0))
 def test_a_guide_falls_as_a_stone_does(p: Vector, v: Vector, a: Vector, h: float) -> None:
     """Under a constant acceleration its energy `|v|^2 / 2 - a . p` stays, and `v` grows by `h a`."""
-    after = world.guide_on(Guide(p, v), a, h)
+    after = levels.guide_on(Guide(p, v), a, h)
     agree(np.subtract(after.v, v), h * np.array(a), 1e-13)
     for axis in range(3):
         before = 0.5 * v[axis] ** 2 - a[axis] * p[axis]
@@ -92,8 +91,8 @@ def test_a_guide_falls_as_a_stone_does(p: Vector, v: Vector, a: Vector, h: float
 @PROPERTY
 @given(vectors(3.0), vectors(3.0), vectors(4.0), st.floats(0.01, 2.0), st.floats(0.01, 2.0))
 def test_two_steps_of_a_guide_are_one(p: Vector, v: Vector, a: Vector, h: float, k: float) -> None:
-    twice = world.guide_on(world.guide_on(Guide(p, v), a, h), a, k)
-    once = world.guide_on(Guide(p, v), a, h + k)
+    twice = levels.guide_on(levels.guide_on(Guide(p, v), a, h), a, k)
+    once = levels.guide_on(Guide(p, v), a, h + k)
     agree([*twice.p, *twice.v], [*once.p, *once.v], 1e-13)
 
 
@@ -118,7 +117,7 @@ def test_a_moment_brings_about_the_torque(
 ) -> None:
     """(46) cancels the gyroscopic moment of (44): `omega_dot` is the tracker's (67)."""
     m = world.motion(Measured(x[0], x[1], so3.ZERO, x[2], x[3]))
-    ref = Reference(*Sines(seed).at(0.3))
+    ref = TrajectoryPoint(*Sines(seed).at(0.3))
     command = world.track(m, ref, MOMENT, WORLD)
     wanted = tracker.torque(m, ref, FRAME.mass, WORLD.tracker)
     assert command.thrust == wanted.thrust
@@ -136,10 +135,10 @@ def test_a_rate_command_drives_e4_to_zero_through_the_lag(
     leader, law = Sines(seed), WORLD.rates_tracker
     start = np.array([*x[0], *x[1], *x[2], *x[3], 0.3])
 
-    def at(y: Array) -> tuple[tracker.Motion, Reference]:
+    def at(y: Array) -> tuple[tracker.Motion, TrajectoryPoint]:
         q = so3.normalise(vector(y[6:10]))
         m = Measured(vector(y[:3]), vector(y[3:6]), so3.ZERO, q, vector(y[10:13]))
-        return world.motion(m), Reference(*leader.at(y[13]))
+        return world.motion(m), TrajectoryPoint(*leader.at(y[13]))
 
     command = world.track(*at(start), RATES, WORLD)
     body = Body(x[0], x[1], x[2], x[3])
@@ -159,7 +158,7 @@ def test_a_rate_command_drives_e4_to_zero_through_the_lag(
 @given(SEEDS, st.floats(0.0, 5.0))
 def test_a_trimmed_vehicle_has_no_tracker_error(seed: int, t: float) -> None:
     """All of (48), (49), (62), (65) are zero, and the thrust (54) gives the path's acceleration."""
-    ref = Reference(*Sines(seed).at(t))
+    ref = TrajectoryPoint(*Sines(seed).at(t))
     body = world.trimmed(ref, WORLD)
     m = world.motion(Measured(body.p, body.v, so3.ZERO, body.q, body.w))
     agree(np.concatenate(tracker.errors(m, ref, WORLD.tracker)), np.zeros(12), 1e-12)
@@ -185,7 +184,7 @@ def test_starts_fill_a_ball_evenly() -> None:
 @PROPERTY
 @given(vectors(3.0))
 def test_waiting_and_resting_are_without_motion(p: Vector) -> None:
-    assert world.hold_at(p) == Reference(p, so3.ZERO, so3.ZERO, so3.ZERO, so3.ZERO)
+    assert world.hold_at(p) == TrajectoryPoint(p, so3.ZERO, so3.ZERO, so3.ZERO, so3.ZERO)
     assert world.resting(p) == Body(p, so3.ZERO, so3.IDENTITY, so3.ZERO)
 
 
@@ -201,33 +200,7 @@ def test_a_vehicle_is_within_a_ball(p: Vector, d: Vector, radius: float, part: f
     assert not world.within((0.0, 0.0, 0.0), (radius, 0.0, 0.0), radius)
 
 
-# -- gusts, and what perfect sensors read ---------------------------------------------------------------
-
-
-def test_a_gust_is_a_gauss_markov_process() -> None:
-    """Stationary with its standard deviation, and correlated by `keep` from tick to tick."""
-    keep = exp(-0.2)
-    gusts = Gusts(keep, 0.7 * np.sqrt(1.0 - keep**2))
-    before, path = so3.ZERO, []
-    for tick in range(4000):
-        before = world.gust(before, gusts, 77, 1, tick)
-        path.append(before)
-    x = np.array(path[50:])
-    np.testing.assert_allclose(x.std(axis=0), 0.7, rtol=0.1)
-    np.testing.assert_allclose(np.mean(x[1:] * x[:-1], axis=0) / 0.49, keep, rtol=0.15)
-    assert np.abs(np.corrcoef(x.T) - np.eye(3)).max() < 0.15
-    kicks = (x[1:] - keep * x[:-1]) / gusts.kick  # white, standard normal
-    for axis in range(3):
-        assert stats.kstest(kicks[:, axis], "norm").pvalue > 1e-3
-    assert np.abs(np.corrcoef(kicks.T) - np.eye(3)).max() < 0.06
-    assert np.abs((kicks[1:] * kicks[:-1]).mean(axis=0)).max() < 0.06
-
-
-def test_each_vehicle_has_its_own_gust_and_without_strength_nothing_changes() -> None:
-    gusts = Gusts(0.9, 0.3)
-    drawn = {world.gust(so3.ZERO, gusts, key, who, 5) for key in (1, 2) for who in (0, 1)}
-    assert len(drawn) == 4
-    assert world.gust((1.0, 2.0, 3.0), Gusts(0.9, 0.0), 1, 1, 1) == (1.0, 2.0, 3.0)
+# -- what perfect sensors read ----------------------------------------------------------------------
 
 
 @PROPERTY
@@ -237,12 +210,12 @@ def test_perfect_sensors_read_the_rate_of_the_velocity(
 ) -> None:
     """Within an instant of flight, `v` changes by the acceleration measured; on the floor by none."""
     body, applied = Body(*x), Wrench(thrust, so3.ZERO)
-    read = world.truth(body, applied, push, False, FRAME)
+    read = sensors.truth(body, applied, push, False, FRAME)
     assert (read.p, read.v, read.q, read.w) == x
     h = 1e-6
     after = quadrotor.fly(body, applied, push, h, MOMENT, FRAME)
     agree(read.a, np.subtract(after.v, body.v) / h, 1e-3)
-    assert world.truth(body, applied, push, True, FRAME).a == so3.ZERO
+    assert sensors.truth(body, applied, push, True, FRAME).a == so3.ZERO
 
 
 @pytest.mark.parametrize(

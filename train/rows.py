@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formation_env import faces
-from formation_env.arrays import Results
+from formation_env.results import Results
 from formation_env.simulation import Simulation, seeded_key
 from formation_env.task import COLUMNS, REWARD
 

@@ -12,14 +12,14 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 
+from baselines.policies.actions import corrected
 from baselines.policies.expert import Expert
 from formation_env import FormationConfig, faces
 from formation_env.arguments import Fixed, check_options, configured, whole_seed
-from formation_env.arrays import Results
 from formation_env.checks import boolean, choice, integer, number, refuse
+from formation_env.results import Results
 from formation_env.simulation import Snapshot
 from formation_env.vector import MOST_WORLDS, FormationVectorEnv
-from train.residual import corrected
 from train.rows import EarlyEnds, central_state, follower_rewards
 
 Array = NDArray[Any]

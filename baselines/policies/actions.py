@@ -1,4 +1,4 @@
-"""Clipping of actions, and a correction added to the expert's action."""
+"""Clipping of actions; the expert's action with a learned correction, and back."""
 
 from __future__ import annotations
 
@@ -27,3 +27,8 @@ def clipped(actions: NDArray[Any]) -> Rows:
 def corrected(actions: Rows, correction: NDArray[Any], residual: float) -> Rows:
     """`actions` with `residual` times a correction added, both the correction and the sum clipped."""
     return clipped(actions + np.float32(residual) * clipped(correction))
+
+
+def correction_towards(wanted: Rows, actions: Rows, residual: float) -> Rows:
+    """The correction by which `corrected` comes nearest to an action that is wanted, in [-1, 1]."""
+    return clipped((wanted - actions) / np.float32(residual))

@@ -134,7 +134,7 @@ class Expert(Policy):
 
     `feedforward` says where the reference's third and fourth derivatives come from: `"zero"`, as in
     the paper's experiment, or `"derived"`, from the law itself with the leader's jerk and snap taken
-    as zero because nobody measures them.
+    as zero because they are not measured.
 
     Whatever finite numbers it observes, its actions are finite. A virtual follower that they drive further
     than can be computed (a leader at 90 m/s does within half a second) begins again with null errors, and

@@ -1,6 +1,6 @@
 """A policy that was learned, run from its file by NumPy.
 
-Its network sees one follower's row at a time, so one file serves any number of followers and worlds,
+Its network takes one follower's row at a time, so one file serves any number of followers and worlds,
 and a row's action depends on no other row, to the last bit (see `forward`).
 """
 
@@ -53,7 +53,7 @@ class Learned(Policy):
         ]
         self._mean, self._scale = network.mean, network.scale
         self._expert = Expert(config) if self.card.residual > 0.0 else None
-        # The last observations of each row, normalised, newest last: (rows, history, entries).
+        # The last normalised observations of each row, newest last: (rows, history, entries).
         self._history = np.zeros((0, self.card.history, self.card.entries), dtype=np.float32)
         self._fresh = np.zeros(0, dtype=np.bool_)  # (rows,), those whose episode begins
 
@@ -87,17 +87,17 @@ class Learned(Policy):
         return corrected(self._expert.decide(rows), actions, self.card.residual)
 
     def _inputs(self, rows: Rows, part: slice) -> Rows:
-        """What the network is given, `(rows, history * entries)`, after these observations."""
+        """Inputs of the network, `(rows, history * entries)`, once these observations are the newest."""
         bound = np.float32(self.card.clip)
         with np.errstate(over="ignore"):  # of a tiny scale: infinity is clipped
             now: Rows = np.clip((rows - self._mean) / self._scale, -bound, bound)
         if self.card.history == 1:
             return now
-        last, fresh = self._history[part], self._fresh[part]
-        last[:, :-1] = last[:, 1:]
-        last[:, -1] = now
-        last[fresh] = now[fresh, None]
-        return last.reshape(len(rows), -1)
+        history, fresh = self._history[part], self._fresh[part]
+        history[:, :-1] = history[:, 1:]
+        history[:, -1] = now
+        history[fresh] = now[fresh, None]
+        return history.reshape(len(rows), -1)
 
     def _forward(self, inputs: Rows) -> Rows:
         """The network's output for any number of rows."""
@@ -112,9 +112,9 @@ class Learned(Policy):
 
 
 def require_fit(card: Card, config: FormationConfig) -> None:
-    """Raise `Misfit` unless a policy sees and commands what followers of this configuration do.
+    """Raise `Misfit` unless observations and actions of the configuration are those of the policy.
 
-    `load` has checked the version of the layout.
+    `load` has checked the layout's version.
     """
     found: dict[str, tuple[Any, Any]] = {
         "action level": (card.action, config.action),

@@ -114,8 +114,8 @@ def _delay(run: Run) -> Claim:
     def one(w: int, m: NDArray[np.bool_]) -> float:
         true = np.gradient(run.v[:, w, 0, :2], h, axis=0)
         at = np.flatnonzero(m)
-        estimate = run.estimate[at, w, :2]
-        match = [float((estimate * true[at - k]).sum()) for k in lags]
+        estimated = run.estimate[at, w, :2]
+        match = [float((estimated * true[at - k]).sum()) for k in lags]
         return float(h * lags[int(np.argmax(match))])
 
     late = per_world(run, one)

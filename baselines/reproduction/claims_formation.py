@@ -88,7 +88,7 @@ def predicted_correlation(config: FormationConfig, shared: bool) -> float:
         h (s^2 + k k2 s + k k1) = -k (k1 n_p + k2 n_v)                      the leader under (54)
         v (s^2 + kz2 s + kz1) = h (s^2 + kz2 s + kz1) + kz1 n_p + kz2 n_v   the planner (33)
 
-    What varies slowly over the steady state goes into its average: the share `sinc^2` is not seen.
+    What varies slowly over the steady state goes into its average: the share `sinc^2` is lost.
     `shared` is how it is, the two `n` being one; otherwise the planner had a measurement of its own.
     """
     t, p = config.tracker, config.planner
@@ -160,14 +160,14 @@ def _swing(run: Run, pairs: slice) -> Floats:
     return per_world(run, one)
 
 
-def _distance(run: Run, who: str, pairs: slice, bound: float) -> Claim:
+def _distance(run: Run, pair: str, pairs: slice, bound: float) -> Claim:
     swing = _swing(run, pairs)
     runs, good = len(swing), int((swing <= bound).sum())
     return Claim(
-        f"{who}-distance-constant",
+        f"{pair}-distance-constant",
         (9,),
         "III-C",
-        f"the {who} distances do not vary more than {bound:g} m (steady state)",
+        f"the {pair} distances do not vary more than {bound:g} m (steady state)",
         f"{bound:g} m",
         f"drawn run {swing[0]:.3f} m, median of {runs} runs {np.median(swing):.3f} m, worst "
         f"{swing.max():.3f} m; {good} of {runs} runs within",

@@ -1,6 +1,6 @@
 """Figures 2 to 5: each closed loop as one continuous differential equation.
 
-The control laws are evaluated at every stage of the integrator, so that what is seen is the laws and
+The control laws are evaluated at every stage of the integrator, so that the figures show the laws and
 not their sampling. The right-hand sides only put the package's own functions together. The
 integrator is SciPy's DOP853 with relative and absolute tolerances of 1e-9.
 
@@ -23,7 +23,7 @@ from formation_env.planner import derivative as planner_derivative
 from formation_env.planner import errors as planner_errors
 from formation_env.quadrotor import MOMENT, Airframe, Body, Wrench, moment
 from formation_env.quadrotor import derivative as body_derivative
-from formation_env.records import line_loader, line_storer, size, slices
+from formation_env.records import flatten, line_loader, line_storer, size, slices
 from formation_env.references import Floats, TrajectoryPoint, evaluate
 from formation_env.so3 import ZERO, Vector, dot, normalise, rotation
 from formation_env.tracker import Motion, TrackerLaw, certificate, pointing, torque
@@ -39,27 +39,28 @@ EIGHT = figure_eight()
 # III-C's vehicle; thrust and moment without limits, the thrust negative while upside down.
 AIRFRAME = Airframe(0.1, (1e-3, 1e-3, 2e-3), -inf, inf, (inf, inf, inf), (inf, inf, inf), 0.05)
 
-# II-D: gains, offsets (no height) and initial states p_x, p_y, theta, u, omega, xi_x, xi_y.
-PLANNER = PlannerGains(k1=0.2, k2=2.0, k3=0.0, p_max=5.0)
-OFFSETS = ((0.35, 0.35, 0.0), (0.35, -0.35, 0.0))
-STARTS = (
-    (3.0, 3.0, 1.5 * pi, 0.5, -0.5, 0.0, 0.0),
-    (3.0, 1.0, 0.0, 0.0, 0.5, 0.0, 0.0),
-)
-
-# III-C: upside down (phi = pi), at rest: p, v, quaternion (w, x, y, z), omega.
-TRACKER = TrackerGains()
-UPSIDE_DOWN = (-5.0, 10.0, -10.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-
 
 class PlanarState(NamedTuple):
-    """State of a virtual follower in the plane; as in `Virtual`."""
+    """State of a virtual follower without its height; fields as in `Virtual`."""
 
     p: complex  # m
-    theta: float  # rad
+    theta: float  # rad, not wrapped
     u: float  # m/s
     omega: float  # rad/s
     xi: complex  # m s
+
+
+# II-D: gains, offsets (no height) and initial states.
+PLANNER = PlannerGains(k1=0.2, k2=2.0, k3=0.0, p_max=5.0)
+OFFSETS = ((0.35, 0.35, 0.0), (0.35, -0.35, 0.0))
+STARTS = (
+    PlanarState(3.0 + 3.0j, 1.5 * pi, 0.5, -0.5, 0j),
+    PlanarState(3.0 + 1.0j, 0.0, 0.0, 0.5, 0j),
+)
+
+# III-C: upside down (phi = pi), at rest.
+TRACKER = TrackerGains()
+UPSIDE_DOWN = Body((-5.0, 10.0, -10.0), ZERO, (0.0, 1.0, 0.0, 0.0), ZERO)
 
 
 class FlightErrors(NamedTuple):
@@ -135,6 +136,7 @@ def fields_of(kind: type, lines: Floats) -> dict[str, Floats]:
 
 @device
 def vector(x: Any) -> Vector:
+    """The three components `x` of a vector."""
     return (x[0], x[1], x[2])
 
 
@@ -185,7 +187,7 @@ def planar(duration: float = 60.0, step: float = 0.02, path: Trajectory = EIGHT)
     """
     t = grid(duration, step)
     fixed = (path.kind, path.table, np.array(OFFSETS), PLANNER.law())
-    y = integrate(_planar_rate, np.ravel(STARTS), t, *fixed)
+    y = integrate(_planar_rate, np.array(flatten(STARTS)), t, *fixed)
     errors = fields_of(PlanarErrors, _planar_errors(t, y, *fixed))
     x = fields_of(PlanarState, y.reshape(len(t), len(OFFSETS), _PLANAR))
     leader = path(t)[:, 0, :2]
@@ -247,7 +249,7 @@ def flight(duration: float = 30.0, step: float = 0.01) -> Flight:
     """III-C, controller test: a vehicle released upside down, far from the trajectory (31)."""
     t = grid(duration, step)
     fixed = (EIGHT.kind, EIGHT.table, AIRFRAME, TRACKER.law())
-    y = integrate(_flight_rate, np.array(UPSIDE_DOWN), t, *fixed)
+    y = integrate(_flight_rate, np.array(flatten(UPSIDE_DOWN)), t, *fixed)
     errors = fields_of(FlightErrors, _flight_history(t, y, *fixed))
     x = fields_of(Body, y)
     q = x["q"] / np.linalg.norm(x["q"], axis=1, keepdims=True)

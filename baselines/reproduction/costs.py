@@ -1,4 +1,4 @@
-"""What it costs that nobody knows the third and fourth derivatives of the planner's reference.
+"""What it costs that the third and fourth derivatives of the planner's reference are not measured.
 
 The tracker wants four derivatives (67), the planner gives two (35). The others are set to zero, as in
 the paper's experiment, or derived from the law with the leader's jerk and snap taken as zero, or
@@ -52,7 +52,7 @@ def _fed(
     """The reference of a virtual follower with its higher derivatives made in one of three ways."""
     if mode == ZERO_FED:
         return planner_trajectory_point(f, leader, d, law)
-    if mode == DERIVED:  # nobody measures the leader's jerk and snap
+    if mode == DERIVED:  # the leader's jerk and snap are not measured
         leader = TrajectoryPoint(leader.p, leader.v, leader.a, ZERO, ZERO)
     return full_trajectory_point(f, leader, d, law)
 

@@ -42,7 +42,7 @@ class Run(NamedTuple):
     reference: Floats  # (T, 3) m, of the leader in world 0
     p: Floats  # (T, W, n+1, 3) m, true, leader first
     v: Floats  # (T, W, n+1, 3) m/s
-    estimate: Floats  # (T, W, 3) leader's acceleration as follower 1 knows it, m/s^2
+    estimate: Floats  # (T, W, 3) leader's acceleration as follower 1 observes it, m/s^2
     virtual_p: Floats  # (T, W, n, 3) m
     virtual_v: Floats  # (T, W, n, 3) m/s
     planner: Errors  # e1 (2), e2 (2), ez (1) as the planner measures them, m

@@ -7,19 +7,18 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.policies.actions import clipped, corrected, correction_towards
 from baselines.policies.base import Policy
 from baselines.policies.expert import Expert
 from formation_env import FormationConfig
 from formation_env.simulation import Simulation
 from train.imitate.buffer import Rows, SampleBuffer
 from train.imitate.clone import Clone
-from train.residual import corrected, correction_towards
 from train.rows import EarlyEnds, seed_worlds
 from train.seeds import first_training_seed
 
-_NOISE_KEPT = (
-    0.9  # part of the slow noise that stays from tick to tick: a memory of about ten ticks
-)
+# Part of the slow noise that stays from tick to tick: a memory of about ten ticks.
+_NOISE_KEPT = 0.9
 
 
 class Mixture(NamedTuple):
@@ -122,7 +121,7 @@ class Collector:
     def _executed(self, actions: Rows, expert: Rows | None) -> Rows:
         """The action itself, or the expert's corrected by it."""
         if expert is None:
-            return np.clip(actions, -1.0, 1.0)
+            return clipped(actions)
         return corrected(expert, actions, self._residual)
 
     def _next_slow_noise(self, deviation: NDArray[Any]) -> NDArray[np.float64]:

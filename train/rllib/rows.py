@@ -16,7 +16,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from formation_env import FormationConfig, faces
-from formation_env.arrays import Results
+from formation_env.results import Results
 from formation_env.simulation import Simulation
 from train.rows import EarlyEnds, central_state, follower_rewards, seed_worlds
 from train.seeds import first_training_seed

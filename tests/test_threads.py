@@ -1,4 +1,4 @@
-"""Threads on one batch: every tile is flown once, by whomever, and no number depends on it."""
+"""Threads on one batch: every tile is flown once, by any thread, and no number depends on it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from numba import config, njit
 
-from formation_env import configure, kernels, simulation, team
+from formation_env import configure, kernels, simulation, threads
 from formation_env.simulation import Simulation
 
 pytestmark = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="Python has no atomics")
@@ -47,8 +47,8 @@ def soon(what: Callable[[], bool]) -> None:
         time.sleep(0.001)
 
 
-def begun(worlds: int, threads: int, scenario: str = "nominal", **options: Any) -> Simulation:
-    made = Simulation(configure(scenario, **options), worlds, threads)
+def begun(worlds: int, many: int, scenario: str = "nominal", **options: Any) -> Simulation:
+    made = Simulation(configure(scenario, **options), worlds, many)
     for world in range(worlds):
         made.seed(world, 7 * world + 1)
     return made
@@ -82,31 +82,31 @@ def fly(found: Simulation, expected: Simulation, steps: int, pause: float = 0.0)
 
 @njit(nogil=True)  # type: ignore[untyped-decorator]
 def _take(desk: int, ticket: int, member: int, taken: Any) -> None:
-    tile = team.claim(desk, ticket, member)
+    tile = threads.claim(desk, ticket, member)
     while tile >= 0:
         taken[tile] += 1
-        tile = team.claim(desk, ticket, member)
+        tile = threads.claim(desk, ticket, member)
 
 
 @njit(nogil=True)  # type: ignore[untyped-decorator]
 def _add_many(address: int, many: int) -> None:
     for _ in range(many):
-        team.add_word(address, 1)
-        old = team.load_word(address)
-        found = team.swap_word(address, old, old + 1)
+        threads.add_word(address, 1)
+        old = threads.load_word(address)
+        found = threads.swap_word(address, old, old + 1)
         while found != old:
             old = found
-            found = team.swap_word(address, old, old + 1)
+            found = threads.swap_word(address, old, old + 1)
 
 
 @njit  # type: ignore[untyped-decorator]
 def _post(desk: int, word: int) -> int:
-    return team.post(desk, (word, 1, 2, 3, 4, 5, 6, 7))
+    return threads.post(desk, (word, 1, 2, 3, 4, 5, 6, 7))
 
 
 @njit  # type: ignore[untyped-decorator]
 def _posted(desk: int) -> int:
-    return team.posted(desk, 0)
+    return threads.posted(desk, 0)
 
 
 def together(job: Callable[[int], None], many: int) -> None:
@@ -126,7 +126,7 @@ def test_no_addition_and_no_swap_is_lost() -> None:
 
 @pytest.mark.parametrize(("tiles", "members"), [(1, 3), (2, 2), (7, 3), (50_001, 3)])
 def test_every_tile_is_claimed_once(tiles: int, members: int) -> None:
-    crew = team.Team(tiles, [lambda desk, number: time.sleep(0.01)] * (members - 1))
+    crew = threads.Team(tiles, [lambda desk, number: time.sleep(0.01)] * (members - 1))
     for turn in range(20):
         ticket = _post(crew.desk, turn)
         assert _posted(crew.desk) == turn
@@ -139,24 +139,24 @@ def test_every_tile_is_claimed_once(tiles: int, members: int) -> None:
 
 
 def test_tickets_begin_again() -> None:
-    crew = team.Team(4, [])
-    crew._desk[0] = team._LAST_TICKET - 1
+    crew = threads.Team(4, [])
+    crew._desk[0] = threads._LAST_TICKET - 1
     taken = np.zeros(4, np.int64)
-    for expected in (team._LAST_TICKET, 1, 2):
+    for expected in (threads._LAST_TICKET, 1, 2):
         ticket = _post(crew.desk, 0)
         assert ticket == expected
         _take(crew.desk, ticket, 0, taken)
     assert (taken == 3).all()
 
 
-@pytest.mark.parametrize("threads", [2, 3, 5])
+@pytest.mark.parametrize("many", [2, 3, 5])
 @pytest.mark.parametrize("worlds", [1, 15, 16, 17, 33, 4097])
-def test_threads_change_no_number(worlds: int, threads: int) -> None:
+def test_threads_change_no_number(worlds: int, many: int) -> None:
     options: dict[str, Any] = {"followers": 2, "duration": 0.4}
-    one, more = begun(worlds, 1, "paper", **options), begun(worlds, threads, "paper", **options)
+    one, more = begun(worlds, 1, "paper", **options), begun(worlds, many, "paper", **options)
     fly(more, one, 25 if worlds < 100 else 4)
     assert one._team is None
-    assert len(workers()) == min(threads, -(-worlds // 16)) - 1
+    assert len(workers()) == min(many, -(-worlds // 16)) - 1
     more.close()
 
 
@@ -175,7 +175,7 @@ def test_workers_do_fly_tiles() -> None:
     done, end = 0, time.monotonic() + LONG
     while done == 0 and time.monotonic() < end:
         more.step(next(actions(more, 1)))
-        done += int(more._team._desk[team._DONE // 8])
+        done += int(more._team._desk[threads._DONE // 8])
     assert done > 0
     more.close()
 
@@ -257,14 +257,14 @@ def test_two_simulations_in_two_threads() -> None:
         more.close()
 
 
-def test_nobody_waits_for_a_worker_that_does_not_wake(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_call_waits_for_a_worker_that_does_not_wake(monkeypatch: pytest.MonkeyPatch) -> None:
     one, more = begun(80, 1), begun(80, 3)
     fly(more, one, 3)
     assert more._team is not None
     crew = more._team._workers
     soon(lambda: all(worker.asleep for worker in crew))
     with monkeypatch.context() as patched:
-        patched.setattr(team._Worker, "ring", lambda worker: None)
+        patched.setattr(threads._Worker, "ring", lambda worker: None)
         fly(more, one, 20)
         assert all(worker.asleep for worker in crew)
     fly(more, one, 20)
