@@ -1,6 +1,6 @@
 """Run in a process of its own, on a copy of the package: a recipe's effect, seen from all three faces.
 
-    python recipe_faces.py RECIPE
+    python recipe_faces.py RECIPE ...
 
 What each function asserts is what its recipe in CONTRIBUTING.md promises.
 """
@@ -257,7 +257,7 @@ def sensor() -> None:
         entries = named(rows, **task)
         apart = np.abs(entries["height"][:, 0] + entries["position"][:, 2])
         assert (apart > 1e-4).all() and (apart < 3.0).all()
-    rows, _ = fly(30, HOVER, scenario="experiment", start="formation")
+    rows, _ = fly(10, HOVER, scenario="experiment", start="formation")
     entries = named(rows, scenario="experiment")
     np.testing.assert_allclose(entries["height"][:, 0], -entries["position"][:, 2], atol=1e-3)
     refused("noise.height = -1", noise={"height": -1.0})
@@ -285,4 +285,5 @@ def disturbance() -> None:
 
 if __name__ == "__main__":
     print(formation_env.__file__)
-    CHECKS[sys.argv[1]]()
+    for name in sys.argv[1:]:
+        CHECKS[name]()
