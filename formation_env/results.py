@@ -8,12 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formation_env.arrays import Verdict
-from formation_env.records import size
+from formation_env.records import size, slices
 from formation_env.store import Floats
 from formation_env.task import Outcome
 
 if TYPE_CHECKING:
     from formation_env.config import FormationConfig
+
+
+_ENDS = {name: where.start for name, where in slices(Verdict).items()}
 
 
 class Results(NamedTuple):
@@ -28,19 +31,19 @@ class Results(NamedTuple):
     @property
     def rewards(self) -> Floats:
         """The followers' mean reward, `(W,)`."""
-        rewards: Floats = self.ends[0]
+        rewards: Floats = self.ends[_ENDS["reward"]]
         return rewards
 
     @property
     def terminated(self) -> NDArray[np.bool_]:
         """`(W,)`."""
-        flags: NDArray[np.bool_] = np.not_equal(self.ends[1], 0.0)
+        flags: NDArray[np.bool_] = np.not_equal(self.ends[_ENDS["terminated"]], 0.0)
         return flags
 
     @property
     def truncated(self) -> NDArray[np.bool_]:
         """`(W,)`."""
-        flags: NDArray[np.bool_] = np.not_equal(self.ends[2], 0.0)
+        flags: NDArray[np.bool_] = np.not_equal(self.ends[_ENDS["truncated"]], 0.0)
         return flags
 
 
