@@ -207,7 +207,9 @@ def test_the_kernels_get_what_was_configured() -> None:
     assert (world.trigger, world.on_ground) == (0.7, 0)
     assert world.disturbances.gusts.keep == pytest.approx(np.exp(-0.04 / 0.5))
     # A process with that memory and kick has the stated standard deviation.
-    assert world.disturbances.gusts.kick / np.sqrt(1 - world.gusts.keep**2) == pytest.approx(2.0)
+    assert world.disturbances.gusts.kick / np.sqrt(
+        1 - world.disturbances.gusts.keep**2
+    ) == pytest.approx(2.0)
     assert configure("experiment").world.clock.window == 100
     free = configure(vehicle=Vehicle(limited=False)).world.airframe
     assert (free.thrust_min, free.thrust_max) == (-np.inf, np.inf)

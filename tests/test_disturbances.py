@@ -17,11 +17,13 @@ from formation_env.disturbances import (
     Disturbance,
     Gust,
     Gusts,
+    Parameters,
     States,
     blows,
     gust_push,
     next_gust,
     over_table,
+    parameters,
 )
 from formation_env.quadrotor import Body
 from formation_env.records import fields, flatten, line_storer, size
@@ -73,18 +75,19 @@ def test_a_gust_is_the_acceleration_it_pushes_with(a: Vector) -> None:
 # -- the table --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("one", DISTURBANCES, ids=lambda one: one.parameters)
+@pytest.mark.parametrize("one", DISTURBANCES, ids=lambda one: one.name)
 def test_every_disturbance_has_parameters_in_a_world_and_a_state_that_begins_at_zero(
     one: Disturbance,
 ) -> None:
     """And starts with no push where its state is zero and the vehicle at rest."""
-    parameters = fields(World)[one.parameters]
-    assert fields(States)[one.parameters] is one.state
+    given_by = fields(fields(World)["disturbances"])[one.name]
+    assert given_by is one.parameters
+    assert fields(States)[one.name] is one.state
     resting = Body(so3.ZERO, so3.ZERO, so3.IDENTITY, so3.ZERO)
     zero = one.state(*_zeros(one.state))
-    given = parameters(*[0.5] * size(parameters))
+    given = given_by(*[0.5] * size(given_by))
     assert one.push(zero, resting, given) == so3.ZERO
-    assert not one.acts(parameters(*[0.0] * size(parameters)))
+    assert not one.acts(given_by(*[0.0] * size(given_by)))
 
 
 def _zeros(kind: Any) -> list[Any]:
@@ -106,6 +109,10 @@ class Wind(NamedTuple):
     ticks: float
 
 
+def drag_of(config: Any) -> Drag:
+    return Drag(0.1 * config.gust, (config.gust, 0.0, 0.0))
+
+
 def is_damped(drag: Drag) -> bool:
     return drag.damping > 0.0
 
@@ -119,21 +126,29 @@ def drag_push(wind: Wind, body: Body, drag: Drag) -> Vector:
     return tuple(drag.damping * (s * drag.wind[k] - body.v[k]) for k in range(3))  # type: ignore[return-value]
 
 
+class Both(NamedTuple):
+    """The parameters of two disturbances."""
+
+    drag: Drag
+    gusts: Gusts
+
+
 class Place(NamedTuple):
     """A world with a second disturbance, and other numbers around."""
 
     before: float
-    drag: Drag
-    between: Vector
-    gusts: Gusts
+    disturbances: Both
     after: int
 
 
 @pytest.fixture
 def two(monkeypatch: pytest.MonkeyPatch) -> Any:
     """The functions of a table of two, made as `world` makes those of the table, in plain Python."""
-    table = (Disturbance("drag", Wind, is_damped, next_wind, drag_push), *DISTURBANCES)
-    states: Any = NamedTuple("States", [(one.parameters, one.state) for one in table])  # type: ignore[misc]
+    table = (
+        Disturbance("drag", Drag, drag_of, Wind, is_damped, next_wind, drag_push),
+        *DISTURBANCES,
+    )
+    states: Any = NamedTuple("States", [(one.name, one.state) for one in table])  # type: ignore[misc]
     monkeypatch.setattr(disturbances, "DISTURBANCES", table)
     monkeypatch.setattr(disturbances, "States", states)
     monkeypatch.setattr(disturbances, "device", lambda function: function)
@@ -152,7 +167,7 @@ def two(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def place(damping: float, kick: float) -> tuple[Place, Any]:
     """A world and the line of its numbers."""
-    one = Place(7.0, Drag(damping, (1.0, -2.0, 4.0)), (8.0, 9.0, 10.0), Gusts(0.5, kick), 3)
+    one = Place(7.0, Both(Drag(damping, (1.0, -2.0, 4.0)), Gusts(0.5, kick)), 3)
     numbers = np.zeros(size(Place))
     line_storer(Place)(numbers, one)
     np.testing.assert_array_equal(numbers, flatten(one))
@@ -171,9 +186,13 @@ def test_two_disturbances_move_on_each_with_its_own_state_and_parameters(two: An
     given, line = place(0.25, 0.3)
     before = states(Wind(0.5, -1.0), Gust((1.0, 2.0, 3.0)))
     after = advance(before, BODY, line, 5, 1, 7)
-    assert after.drag == next_wind(before.drag, BODY, given.drag, 5, 1, 7) == Wind(0.75, 517.0)
-    assert after.gusts == next_gust(before.gusts, BODY, given.gusts, 5, 1, 7)
-    gust, drag = after.gusts.a, drag_push(after.drag, BODY, given.drag)
+    assert (
+        after.drag
+        == next_wind(before.drag, BODY, given.disturbances.drag, 5, 1, 7)
+        == Wind(0.75, 517.0)
+    )
+    assert after.gusts == next_gust(before.gusts, BODY, given.disturbances.gusts, 5, 1, 7)
+    gust, drag = after.gusts.a, drag_push(after.drag, BODY, given.disturbances.drag)
     np.testing.assert_allclose(push(after, BODY, line), np.add(gust, drag), rtol=1e-15)
 
 
@@ -181,10 +200,20 @@ def test_two_disturbances_move_on_each_with_its_own_state_and_parameters(two: An
 @given(vectors(3.0), numbers(2.0))
 def test_the_table_of_a_world_is_that_of_its_laws(a: Vector, kick: float) -> None:
     gusts = Gusts(0.8, kick)
-    line = np.array(flatten(configure().world._replace(gusts=gusts)))
+    line = np.array(flatten(configure().world._replace(disturbances=Parameters(gusts))))
     states = States(Gust(a))
     assert bool(world.disturbed(line)) == blows(gusts)
     assert world.next_states(states, BODY, line, 3, 1, 9).gusts == next_gust(
         states.gusts, BODY, gusts, 3, 1, 9
     )
     assert world.pushed(states, BODY, line) == a
+
+
+@pytest.mark.parametrize("period", [0.01, 0.02])
+def test_gusts_are_as_strong_whatever_the_control_period(period: float) -> None:
+    """In the stationary process the variance is that of the configuration, the correlation exponential."""
+    config = configure(control_period=period, gust=0.7, gust_time=0.4)
+    (gusts,) = parameters(config)
+    assert gusts.keep == pytest.approx(np.exp(-period / 0.4))
+    assert gusts.kick**2 / (1.0 - gusts.keep**2) == pytest.approx(0.49)
+    assert config.world.disturbances == Parameters(gusts)

@@ -25,7 +25,7 @@ LAWS = (
         "neighbours",
         "nearest",
     ),
-    *("references", "random_paths", "tables", "splines", "trajectories"),
+    *("references", "random_paths", "splines", "trajectories"),
     *("feasibility", "formations"),
 )
 
