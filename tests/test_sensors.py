@@ -134,7 +134,7 @@ def test_one_kind_of_noise_leaves_the_others_exact(field: str) -> None:
 def test_noise_in_all_lanes_is_that_of_one_vehicle() -> None:
     """`measure_with_noise`, in steps over all lanes, against `sensors.corrupt`, bit for bit.
 
-    But for the acceleration and the attitude: in one vehicle alone their sums are fused in another way.
+    But for the acceleration: with or without noise to be added, its sum is fused in another way.
     """
     noise, who = Noise(0.2, 0.1, 0.01, 0.3, 0.02), 2
     flight = begin(configure(noise=noise), 20)[0]
