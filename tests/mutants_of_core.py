@@ -251,8 +251,6 @@ CORE = [
     Mutant("nearest", "more and first + d + STEPS < m", "more and first + d + 9 * STEPS < m"),
     Mutant("nearest", "more and first + BLOCK > d + STEPS", "more and first > d + STEPS"),
     Mutant("nearest", "here - d - STEPS + 1, -1.0", "here - d - STEPS, -1.0"),
-    Mutant("nearest", "rank[k], rank[_at(1, k)] = np.inf if sound else -1.0, -1.0",
-           "rank[k], rank[_at(1, k)] = np.inf, -1.0"),
     Mutant("nearest", "return float(r) if r >= 0.0 else np.inf", "return float(r)"),
     Mutant("nearest", "(SEEKER_ROWS + 2 * rank) * BLOCK", "(SEEKER_ROWS + rank) * BLOCK"),
     # Action levels: what an action asks for, its inverse, virtual followers, the table.
