@@ -242,8 +242,8 @@ def noisy(
     touch: Touch,
     body: Body,
     push: Vector,
-    first: Eight,
     second: Eight,
+    first: Eight,
     airframe: Airframe,
     noise: Noise,
 ) -> Measured:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import linecache
 from functools import cache
+from math import inf
 from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -44,7 +45,7 @@ class Quantity(NamedTuple):
     unit: str
     frame: str
     meaning: str
-    bound: float = float("inf")  # that its numbers are clipped to
+    bound: float = inf  # that its numbers are clipped to
 
 
 @cache
@@ -251,7 +252,8 @@ def storer(kind: Any, layout: Any = None, bounds: tuple[float, ...] = ()) -> Any
         return builtin(lambda x, lane, v: types.void, _store_rows(kind, layout))(made)
     lines = []
     for x, bound, one in zip(places, bounds, parts(kind), strict=True):
-        lines.append(f"{x} = min(max({-bound!r}, {_written(*one)}), {bound!r})")
+        clipped = f"min(max({-bound!r}, {_written(*one)}), {bound!r})"
+        lines.append(f"{x} = {clipped if bound < inf else _written(*one)}")
     return _function("store", kind, "x, lane, v", lines, names)
 
 

@@ -210,3 +210,17 @@ def test_a_guided_action_is_a_point_of_a_trajectory(action: Action, p: Vector, v
     found = guided(action, Guide(p, v), 1.0 + 0.0j, configure().world)
     o = (0.0, 0.0, 0.0)
     assert found == TrajectoryPoint(p, v, found.a, o, o)
+
+
+@PROPERTY
+@given(vectors(3.0), vectors(3.0), vectors(3.0), vectors(3.0), numbers(3.0))
+def test_a_policy_sees_a_guide_from_its_vehicle_in_the_formation_frame(
+    p: Vector, v: Vector, own_p: Vector, own_v: Vector, angle: float
+) -> None:
+    c, s = np.cos(angle), np.sin(angle)
+    into = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    o = (0.0, 0.0, 0.0)
+    own = Measured(own_p, own_v, o, (1.0, 0.0, 0.0, 0.0), o)
+    seen = view_guide(levels.Estimate(complex(c, s)), Guide(p, v), own)
+    agree(seen.guide_position, into @ np.subtract(p, own_p), 1e-13)
+    agree(seen.guide_velocity, into @ np.subtract(v, own_v), 1e-13)

@@ -242,7 +242,6 @@ def test_stored_numbers_are_clipped_to_bounds_and_what_is_none_to_the_lower(give
         assert got == (-bound if math.isnan(number) else min(max(number, -bound), bound))
 
 
-@pytest.mark.xfail(raises=NameError, strict=True, reason="the source names an infinite bound `inf`")
 def test_a_number_without_a_bound_is_stored_as_it_is() -> None:
     store = records.storer(Free, bounds=records.bounds(Free))
     x = np.zeros(records.size(Free) * LANES)
