@@ -34,6 +34,7 @@ EXACT, EVERY_TICK, WHEN_DUE = range(3)
 
 # Numbers of a line of the leader's reference: p, v, a, j, s and one that makes it a whole vector.
 LINE = size(TrajectoryPoint) + 1
+HELD = 8  # most followers whose results are put together before they are written
 SIGHT = 8  # numbers of a vehicle in `points`: p, v and two that make it a whole vector
 
 
@@ -170,6 +171,13 @@ received = _field(  # late measurements that have arrived
     "received", lambda z: (z.vehicles if z.delays > 1 else 0, size(Measured) * LANES)
 )
 observation = _field("observation", lambda z: (z.entries * LANES,), np.float32)
+# Of all followers of a tile, where results go past the cache: see `calls.streamed`.
+held_observations = _field(
+    "held_observations", lambda z: (z.entries * min(z.vehicles - 1, HELD) * LANES,), np.float32
+)
+held_outputs = _field(
+    "held_outputs", lambda z: (size(Outcome) * min(z.vehicles - 1, HELD) * LANES,)
+)
 candidate = _field("candidates", lambda z: (z.neighbours + 1, size(Candidate) * LANES))
 neighbour = _field("neighbours", lambda z: (z.vehicles - 1, z.neighbours, LANES))  # numbers, or -1
 other = _field("other", lambda z: (SIGHT * LANES,))  # one neighbour in each world

@@ -16,9 +16,9 @@ from formation_env.calls import (
 )
 from formation_env.calls import STEP_AND_RESET as STEP_AND_RESET
 from formation_env.calls import STEP_OR_RESET as STEP_OR_RESET
-from formation_env.calls import note_call, post_call, take_call
+from formation_env.calls import note_call, post_call, streamed, take_call
 from formation_env.records import LANES, at, line_storer
-from formation_env.shuffles import carve, count_finite
+from formation_env.shuffles import carve, count_finite, drain
 from formation_env.so3 import Vector
 from formation_env.store import Floats
 from formation_env.threads import await_ticket, claim, report, settle
@@ -99,6 +99,8 @@ def advance(
             tick(memory, room, t)
             done += 1
             t = t + 1 if desk == 0 else claim(desk, ticket, member)
+        if streamed(memory):
+            drain()
         if member > 0:
             report(desk, done)
         else:

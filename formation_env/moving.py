@@ -9,7 +9,7 @@ import numpy as np
 from formation_env import arrays, flight, judging, quadrotor
 from formation_env._jit import cold, step
 from formation_env.arrays import Counters
-from formation_env.calls import OUTCOME, actions_of, observations_of, outputs_of
+from formation_env.calls import OUTCOME, actions_of, observations_of, outputs_of, streamed
 from formation_env.disturbances import States
 from formation_env.levels import command_follower
 from formation_env.measuring import in_hand, measure_exactly, measure_when_due, measure_with_noise
@@ -213,7 +213,7 @@ def fetch_next(memory: Any, room: Any, t: int, i: int) -> None:
     n = arrays.vehicles(memory) - 1
     if n >= CROWD or arrays.tile_count(memory) <= _FETCHED:
         return
-    if i < n:
+    if i < n and not streamed(memory):
         entries, first = arrays.entries(memory), (t * n + i) * LANES
         fetch(observations_of(memory, room, False), first * entries, LANES * entries)
         fetch(outputs_of(memory, room, False), first * OUTCOME, LANES * OUTCOME)

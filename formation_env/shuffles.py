@@ -197,6 +197,67 @@ def gather(lines: Any, starts: Any, tile: Any) -> None:
             turn_lines(lines, starts, lane, row, tile)
 
 
+def _build_stream_line(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    width, number = _width(signature.args[0]), context.get_data_type(signature.args[0].dtype)
+    given = (context, builder, signature, arguments)
+    source, at, sink, to = (
+        data_of(*given, k) if k in (0, 2) else word_of(*given, k) for k in range(4)
+    )
+    place = _vector_at(builder, source, at, number, width)
+    line = builder.load(place, align=context.get_abi_sizeof(number))
+    store = builder.store(line, _vector_at(builder, sink, to, number, width), align=_BYTES)
+    store.set_metadata("nontemporal", builder.module.add_metadata([ir.IntType(32)(1)]))
+    return context.get_dummy_value()
+
+
+@builtin(lambda source, at, sink, to: types.void, _build_stream_line)
+def stream_line(source: Any, at: int, sink: Any, to: int) -> None:
+    """A cache line of numbers from `at` on, past the cache to the line that begins at `sink[to]`."""
+    width = _BYTES // source.itemsize
+    sink[to : to + width] = source[at : at + width]
+
+
+def _build_offset(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    data = data_of(context, builder, signature, arguments, 0)
+    address = builder.ptrtoint(data, context.get_value_type(types.int64))
+    size = context.get_abi_sizeof(context.get_data_type(signature.args[0].dtype))
+    inside = builder.and_(address, address.type(_BYTES - 1))
+    return builder.udiv(inside, address.type(size))
+
+
+@builtin(lambda block: types.int64, _build_offset)
+def offset(block: Any) -> int:
+    """How many numbers after the begin of a cache line an array begins."""
+    return int(block.ctypes.data) % _BYTES // int(block.itemsize)
+
+
+def _build_drain(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    builder.fence("seq_cst")
+    return context.get_dummy_value()
+
+
+@builtin(lambda: types.void, _build_drain)
+def drain() -> None:
+    """Have what was streamed arrive before whatever is written from now on."""
+
+
+@device
+def stream(source: Any, sink: Any, to: int, count: int) -> None:
+    """The first `count` numbers to `sink[to]`, ... past the cache.
+
+    For what is larger than the cache anyway: a store would first fetch each line from memory.
+    """
+    width = _BYTES // source.itemsize
+    ahead = min(count, (width - (offset(sink) + to) % width) % width)
+    for k in range(ahead):
+        sink[to + k] = source[k]
+    whole = ahead + (count - ahead) // width * width
+    for k in range(ahead, whole, width):
+        stream_line(source, k, sink, to + k)
+    for k in range(whole, count):
+        sink[to + k] = source[k]
+
+
 # -- loops that move numbers -----------------------------------------------------------------------------
 
 

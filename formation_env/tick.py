@@ -33,6 +33,7 @@ from formation_env.calls import (
     mode_of,
     observations_of,
     outputs_of,
+    streamed,
 )
 from formation_env.episodes import start_episode
 from formation_env.levels import show_level
@@ -57,7 +58,7 @@ from formation_env.neighbours import (
 )
 from formation_env.records import LANES, at, loader, size
 from formation_env.sensors import Measured
-from formation_env.shuffles import carve, clear, copy_numbers, scatter
+from formation_env.shuffles import carve, clear, copy_numbers, scatter, stream
 from formation_env.so3 import Vector
 from formation_env.task import Observation
 from formation_env.world import within
@@ -262,11 +263,21 @@ def show(memory: Any, room: Any, t: int, here: int, standing: int) -> None:
     begin, started = begin_rows(memory, t, standing, leader), arrays.started(room)
     more = carve(rows, _OBSERVED, (len(rows) - _OBSERVED,))
     find_neighbours_of_many(memory, room, t, here)
+    # What goes past the cache is put together first: single rows would not fill its lines.
+    held = streamed(memory)
+    sink, other_sink, begin_at, lanes = observations, outputs, t * LANES * n, here
+    if held:
+        sink, other_sink = arrays.held_observations(room), arrays.held_outputs(room)
+        begin_at, lanes = 0, LANES
     for i in range(n):
         x, own = arrays.follower(memory, t, i), in_hand(memory, room, t, i + 1)
         judging.show(started, x, leader, begin, own, arrays.offset(memory, i), rows)
         show_level(arrays.level(memory), x, own, more)
         show_neighbours(memory, room, t, i)
-        first = t * LANES * n + i
-        scatter(rows, entries, observations, first * entries, n * entries, here)
-        scatter(arrays.outcome(room, i), OUTCOME, outputs, first * OUTCOME, n * OUTCOME, here)
+        first = begin_at + i
+        scatter(rows, entries, sink, first * entries, n * entries, lanes)
+        scatter(arrays.outcome(room, i), OUTCOME, other_sink, first * OUTCOME, n * OUTCOME, lanes)
+    if held:
+        first, count = t * LANES * n, here * n
+        stream(sink, observations, first * entries, count * entries)
+        stream(other_sink, outputs, first * OUTCOME, count * OUTCOME)

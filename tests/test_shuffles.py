@@ -187,3 +187,15 @@ def test_actions_are_clipped() -> None:
         expected = np.full((4, LANES), 7.0)
         expected[row] = np.clip(actions[first::stride][:LANES].astype(np.float64), -1.0, 1.0)
         np.testing.assert_array_equal(executed.reshape(4, LANES), expected)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize("to", [0, 1, 5, 15])
+def test_streamed_numbers_arrive_and_no_others_are_written(kind: type, to: int) -> None:
+    source = np.random.default_rng(to).normal(size=100).astype(kind)
+    sink = np.full(140, -7.0, kind)
+    shuffles.stream(source, sink, to, 97)
+    shuffles.drain()
+    np.testing.assert_array_equal(sink[to : to + 97], source[:97])
+    assert np.all(sink[:to] == -7.0)
+    assert np.all(sink[to + 97 :] == -7.0)

@@ -14,7 +14,7 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, Vecto
 from gymnasium.wrappers.vector import NormalizeObservation, RecordEpisodeStatistics
 from numba import config
 
-from formation_env import Limits, kernels, simulation
+from formation_env import Limits, configure, kernels, simulation
 from formation_env.task import Terms
 from formation_env.vector import FormationVectorEnv
 
@@ -251,3 +251,21 @@ def test_another_memory_layout_is_not_compiled_for() -> None:
     envs.step(np.zeros((3, 16), np.float32)[:, ::2])
     envs.step(np.asfortranarray(np.zeros((3, 8), np.float32)))
     assert len(getattr(kernels.advance, "signatures", [0])) == 1
+
+
+def test_results_too_many_for_the_cache_are_those_of_a_few_worlds() -> None:
+    config = configure("nominal")
+    many, few = (simulation.Simulation(config, worlds) for worlds in (11_000, 33))
+    for world in range(11_000):
+        many.seed(world, world)
+    for world in range(33):
+        few.seed(world, world)
+    actions = np.random.default_rng(0).uniform(-0.1, 0.1, (11_000, config.followers, 4))
+    some = actions.astype(np.float32)
+    results = [(many.reset(), few.reset())]
+    results += [(many.step(some), few.step(some[:33])) for _ in range(2)]
+    for all_of_them, first in results:
+        assert all_of_them.observations.nbytes + all_of_them.outputs.nbytes > 6_000_000
+        np.testing.assert_array_equal(all_of_them.observations[:33], first.observations)
+        np.testing.assert_array_equal(all_of_them.outputs[:33], first.outputs)
+        np.testing.assert_array_equal(all_of_them.ends[:, :33], first.ends)
