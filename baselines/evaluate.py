@@ -39,7 +39,7 @@ from baselines.system.progress import compiling
 from baselines.system.text import wrapped
 from baselines.system.writing import FolderTaken, claim, write_text
 from formation_env import SCENARIOS, FormationConfig
-from formation_env.checks import integer
+from formation_env.validation.checks import integer
 
 # Of the leaderboard: scenarios at their own action level, and those with shipped policies at the others.
 BOARD_SCENARIOS = (

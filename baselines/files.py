@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 
 from baselines.system.reading import file_name, read_bytes
 from baselines.system.writing import write_bytes
-from formation_env import levels
-from formation_env.checks import require, shortened, shown
-from formation_env.levels import NAMES as LEVELS
+from formation_env.laws import levels
+from formation_env.laws.levels import NAMES as LEVELS
 from formation_env.task import Layout
+from formation_env.validation.checks import require, shortened, shown
 
 VERSION = 1  # of the format
 SUFFIX = ".safetensors"

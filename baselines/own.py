@@ -37,8 +37,8 @@ from baselines.policies.base import Policy, Rows
 from baselines.policies.learned import Misfit
 from baselines.system.reading import require_regular
 from formation_env import FormationConfig
-from formation_env.checks import shown
-from formation_env.faces import read_action
+from formation_env.interface.faces import read_action
+from formation_env.validation.checks import shown
 
 Source = str | Callable[..., Any] | object  # `module:Name`, a class or function, or an object
 

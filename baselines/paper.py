@@ -27,7 +27,7 @@ from baselines.system import console
 from baselines.system.arguments import Parser, whole
 from baselines.system.writing import claim, write_text
 from formation_env.config import NO_NOISE
-from formation_env.feasibility import FeasibilityWarning
+from formation_env.laws.feasibility import FeasibilityWarning
 
 FIGURES = (2, 3, 4, 5, 6, 7, 8, 9, 11, 12, 13, 14)
 PLANAR, FLIGHT, FORMATION, EXPERIMENT = (2, 3), (4, 5), (6, 7, 8, 9), (11, 12, 13, 14)

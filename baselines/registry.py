@@ -15,7 +15,7 @@ from baselines.policies.learned import Learned, Misfit, require_fit
 from baselines.policies.simple import Hover, Pd, Random
 from baselines.policies.tuned import ExpertTuned
 from formation_env import FormationConfig
-from formation_env.checks import require
+from formation_env.validation.checks import require
 
 POLICIES: dict[str, type[Policy]] = {
     policy.name: policy for policy in (Expert, ExpertTuned, Pd, Hover, Random)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from formation_env import FormationConfig
 from formation_env._jit import device, kernel
-from formation_env.quadrotor import MOMENT, Airframe, Body, Wrench, fly
+from formation_env.physics.quadrotor import MOMENT, Airframe, Body, Wrench, fly
 
 Floats = NDArray[np.float64]
 

@@ -25,7 +25,8 @@ from baselines.system.arguments import Parser, whole
 from baselines.system.console import command, say
 from benchmarks.report import table
 from benchmarks.timing import Sampler, in_turn
-from formation_env import formation_v0, kernels, simulation
+from formation_env import formation_v0
+from formation_env.core import kernels, simulation
 
 # Steps after which a flight begins anew, so that all layers are timed in the same states.
 _FLIGHT = 100

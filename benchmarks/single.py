@@ -16,7 +16,7 @@ from benchmarks.grid import Point, task
 from benchmarks.steps import gym_steps, parallel_steps, policy_steps, random_steps, steps_only
 from benchmarks.timing import Sampler, in_turn, ratio, repeating, steps_within
 from formation_env import configure, formation_v0
-from formation_env.simulation import Simulation, seeded_key
+from formation_env.core.simulation import Simulation, seeded_key
 
 Say = Callable[[str], None]
 Figures = dict[str, Any]

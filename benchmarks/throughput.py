@@ -27,7 +27,7 @@ from baselines.system import console
 from baselines.system.arguments import Parser, above_zero, whole
 from benchmarks import grid, report, single, startup
 from formation_env.formations import MAX_FOLLOWERS
-from formation_env.levels import NAMES as LEVELS
+from formation_env.laws.levels import NAMES as LEVELS
 
 Figures = dict[str, Any]
 Say = Callable[[str], None]

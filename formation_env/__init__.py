@@ -16,14 +16,14 @@ import gymnasium
 import pettingzoo
 
 from formation_env.config import FormationConfig
-from formation_env.feasibility import FeasibilityWarning
-from formation_env.gains import PlannerGains, TrackerGains
-from formation_env.leader_path import FlightWarning
+from formation_env.configuration.leader_path import FlightWarning
+from formation_env.laws.feasibility import FeasibilityWarning
+from formation_env.laws.gains import PlannerGains, TrackerGains
+from formation_env.physics.sensors import Noise
+from formation_env.physics.vehicle import Vehicle
 from formation_env.scenarios import SCENARIOS, configure
-from formation_env.sensors import Noise
 from formation_env.task import Limits, Rewards
 from formation_env.trajectories import Trajectory
-from formation_env.vehicle import Vehicle
 
 try:
     __version__ = version("formation-env")

@@ -39,9 +39,11 @@ FASTMATH = {"contract", "nsz", "arcp"}
 @cache
 def _source_stamp(folder: Path) -> str | None:
     """Hash of all sources a kernel in `folder` may have been compiled from, if they are in files."""
+    package = Path(__file__).parent
+    if package in folder.parents:
+        return _source_stamp(package)
     digest = hashlib.sha256()
-    for directory in sorted({Path(__file__).parent, folder}):
-        sources = sorted(directory.glob("*.py"))
+    for sources in (sorted(package.rglob("*.py")), sorted(folder.glob("*.py"))):
         if not sources:  # in an archive, or compiled files alone
             return None
         for path in sources:

@@ -16,28 +16,30 @@ from typing import Any, final
 
 import numpy as np
 
-from formation_env import disturbances, formations, levels
-from formation_env.bounds import check_clock, check_moments, check_rate_loop
-from formation_env.checks import choice, integer, number, refuse, require
-from formation_env.feasibility import Feasibility, FeasibilityWarning, check, require_feasible
-from formation_env.gains import RATES_GAINS, PlannerGains, TrackerGains
-from formation_env.leader_path import require_flyable
-from formation_env.parts import part, rows
-from formation_env.placement import (
+from formation_env import formations
+from formation_env.configuration.bounds import check_clock, check_moments, check_rate_loop
+from formation_env.configuration.leader_path import require_flyable
+from formation_env.configuration.parts import part, rows
+from formation_env.configuration.placement import (
     check_ground_starts,
     check_offsets,
     check_start_offset,
     judged,
 )
-from formation_env.plain_form import plain
-from formation_env.quadrotor import GRAVITY, MOMENT, RATES
-from formation_env.sensors import Noise
-from formation_env.slots import out_of_frame
-from formation_env.so3 import Vector
+from formation_env.laws import levels
+from formation_env.laws.feasibility import Feasibility, FeasibilityWarning, check, require_feasible
+from formation_env.laws.gains import RATES_GAINS, PlannerGains, TrackerGains
+from formation_env.laws.slots import out_of_frame
+from formation_env.laws.world import Clock, Reach, World
+from formation_env.maths.so3 import Vector
+from formation_env.physics import disturbances
+from formation_env.physics.quadrotor import GRAVITY, MOMENT, RATES
+from formation_env.physics.sensors import Noise
+from formation_env.physics.vehicle import Vehicle, vector3
 from formation_env.task import ANYWHERE, NEAR, RATE_BOUND, Layout, Limits, Rewards
 from formation_env.trajectories import Trajectory, as_trajectory, figure_eight, path_start
-from formation_env.vehicle import Vehicle, vector3
-from formation_env.world import Clock, Reach, World
+from formation_env.validation.checks import choice, integer, number, refuse, require
+from formation_env.validation.plain_form import plain
 
 ACTUATIONS = {"moment": MOMENT, "rates": RATES}
 

@@ -11,10 +11,10 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from formation_env import faces, manual, specs
-from formation_env.arguments import Fixed, check_options, configured, whole_seed
 from formation_env.config import FormationConfig
-from formation_env.simulation import Simulation, Snapshot, stream_key
+from formation_env.core.simulation import Simulation, Snapshot, stream_key
+from formation_env.interface import faces, manual, specs
+from formation_env.interface.arguments import Fixed, check_options, configured, whole_seed
 
 Observation = NDArray[np.float32]
 

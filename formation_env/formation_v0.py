@@ -14,14 +14,14 @@ from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils import wrappers
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 
-from formation_env import faces
-from formation_env.arguments import Fixed, check_options, configured, limit, whole_seed
-from formation_env.checks import integer, refuse, shown
 from formation_env.config import FormationConfig
-from formation_env.results import Results
-from formation_env.simulation import Simulation, Snapshot, stream_key
+from formation_env.core.results import Results
+from formation_env.core.simulation import Simulation, Snapshot, stream_key
+from formation_env.interface import faces
+from formation_env.interface.arguments import Fixed, check_options, configured, limit, whole_seed
 from formation_env.task import COLUMNS, REWARD
-from formation_env.warning import warn_user
+from formation_env.validation.checks import integer, refuse, shown
+from formation_env.validation.warning import warn_user
 
 Array = NDArray[np.float32]
 

@@ -31,9 +31,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from formation_env.checks import array, choice, integer, number, require
-from formation_env.references import Floats
-from formation_env.tables import LARGEST
+from formation_env.paths.references import Floats
+from formation_env.paths.tables import LARGEST
+from formation_env.validation.checks import array, choice, integer, number, require
 
 Plane = Literal["xy", "yz"]
 _PLANES = ("xy", "yz")

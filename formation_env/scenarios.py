@@ -19,17 +19,17 @@ from typing import Any
 import numpy as np
 
 from formation_env import formations
-from formation_env.checks import integer, refuse, require, unexpected_keyword
 from formation_env.config import PARTS, FormationConfig, quietly
-from formation_env.feasibility import FeasibilityWarning, require_feasible
-from formation_env.gains import PlannerGains
-from formation_env.leader_path import FlightWarning
-from formation_env.parts import part, rows
-from formation_env.sensors import Noise
-from formation_env.so3 import Vector
+from formation_env.configuration.leader_path import FlightWarning
+from formation_env.configuration.parts import part, rows
+from formation_env.laws.feasibility import FeasibilityWarning, require_feasible
+from formation_env.laws.gains import PlannerGains
+from formation_env.maths.so3 import Vector
+from formation_env.physics.sensors import Noise
+from formation_env.physics.vehicle import Vehicle
 from formation_env.task import NEAR
 from formation_env.trajectories import figure_eight, lemniscate, random_smooth
-from formation_env.vehicle import Vehicle
+from formation_env.validation.checks import integer, refuse, require, unexpected_keyword
 
 # III-C's levels. The sampling time of the white noise is not stated; at 50 Hz, the rate of the
 # paper's motion capture, its steady-state claims hold.

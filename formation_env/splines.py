@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from formation_env.checks import array, number, refuse, require, vector
-from formation_env.references import SPLINE, TERMS, Floats
-from formation_env.tables import ABOVE_FLOOR, LARGEST, MOST_ROWS
-from formation_env.trajectory import Trajectory
+from formation_env.paths.references import SPLINE, TERMS, Floats
+from formation_env.paths.tables import ABOVE_FLOOR, LARGEST, MOST_ROWS
+from formation_env.paths.trajectory import Trajectory
+from formation_env.validation.checks import array, number, refuse, require, vector
 
 _DEGREE = TERMS - 1
 _AT_REST = [(order, np.zeros(3)) for order in (1, 2, 3)]

@@ -13,17 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formation_env._jit import device
-from formation_env.checks import Within, refuse
-from formation_env.levels import LEVELS
-from formation_env.records import Quantity, fields, notes, size, slices
-from formation_env.sensors import Measured
-from formation_env.slots import in_frame
-from formation_env.so3 import ZERO, Rotation, Vector, dot, pick_vector, rotation, sub
-from formation_env.world import ANYWHERE as ANYWHERE  # as `task.ANYWHERE` beside the entries
-from formation_env.world import NEAR as NEAR
-from formation_env.world import RATE_BOUND as RATE_BOUND
-from formation_env.world import UNIT as UNIT
-from formation_env.world import Action
+from formation_env.laws.levels import LEVELS
+from formation_env.laws.slots import in_frame
+from formation_env.laws.world import ANYWHERE as ANYWHERE  # as `task.ANYWHERE` beside the entries
+from formation_env.laws.world import NEAR as NEAR
+from formation_env.laws.world import RATE_BOUND as RATE_BOUND
+from formation_env.laws.world import UNIT as UNIT
+from formation_env.laws.world import Action
+from formation_env.maths.so3 import ZERO, Rotation, Vector, dot, pick_vector, rotation, sub
+from formation_env.memory.records import Quantity, fields, notes, size, slices
+from formation_env.physics.sensors import Measured
+from formation_env.validation.checks import Within, refuse
 
 # How a follower's episode ended. LEADER: the leader crashed, for which no follower pays.
 NO_FAILURE, COLLISION, IMPACT, LOST, LEADER = 0, 1, 2, 3, 4

@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from formation_env.checks import choice, number, refuse, require, shortened, vector
-from formation_env.random_paths import FASTEST, RandomSmooth, checked_bounds, draw
-from formation_env.references import (
+from formation_env.paths.random_paths import FASTEST, RandomSmooth, checked_bounds, draw
+from formation_env.paths.references import (
     LEMNISCATE,
     SINES,
     SPLINE,
@@ -27,9 +26,10 @@ from formation_env.references import (
     evaluate,
     start_direction,
 )
+from formation_env.paths.tables import ABOVE_FLOOR, LARGEST
+from formation_env.paths.trajectory import Trajectory, path_start
 from formation_env.splines import from_samples, waypoints
-from formation_env.tables import ABOVE_FLOOR, LARGEST
-from formation_env.trajectory import Trajectory, path_start
+from formation_env.validation.checks import choice, number, refuse, require, shortened, vector
 
 __all__ = [
     "FACTORIES",

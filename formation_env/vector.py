@@ -13,13 +13,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from formation_env import faces, specs
-from formation_env.arguments import Fixed, check_options, configured, limit, whole_seed
-from formation_env.checks import integer, refuse
 from formation_env.config import FormationConfig
-from formation_env.kernels import STEP, STEP_AND_RESET, STEP_OR_RESET
-from formation_env.results import Results
-from formation_env.simulation import Simulation, Snapshot, seeded_key
+from formation_env.core.kernels import STEP, STEP_AND_RESET, STEP_OR_RESET
+from formation_env.core.results import Results
+from formation_env.core.simulation import Simulation, Snapshot, seeded_key
+from formation_env.interface import faces, specs
+from formation_env.interface.arguments import Fixed, check_options, configured, limit, whole_seed
+from formation_env.validation.checks import integer, refuse
 
 Array = NDArray[Any]
 

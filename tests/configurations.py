@@ -22,7 +22,7 @@ from formation_env import (
     formations,
     trajectories,
 )
-from formation_env.leader_path import FlightWarning
+from formation_env.configuration.leader_path import FlightWarning
 
 
 def spread(low: float, high: float) -> st.SearchStrategy[float]:

@@ -19,7 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from formation_env import FormationConfig, Noise, configure, simulation
+from formation_env import FormationConfig, Noise, configure
+from formation_env.core import simulation
 from formation_env.env import FormationEnv
 from formation_env.formation_v0 import parallel_env
 from formation_env.vector import FormationVectorEnv

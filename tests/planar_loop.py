@@ -9,10 +9,10 @@ import numpy as np
 from closed_loop import numbers
 from hypothesis import strategies as st
 
-from formation_env import planner
-from formation_env.planner import PlannerLaw, Virtual
-from formation_env.references import TrajectoryPoint
-from formation_env.so3 import Vector
+from formation_env.laws import planner
+from formation_env.laws.planner import PlannerLaw, Virtual
+from formation_env.maths.so3 import Vector
+from formation_env.paths.references import TrajectoryPoint
 
 PAPER = PlannerLaw(k1=0.2, k2=2.0, k3=0.0, kz1=0.2, kz2=2.0, p_max=5.0, z_max=4.0)
 GENERIC = PlannerLaw(k1=0.6, k2=1.7, k3=0.4, kz1=0.35, kz2=1.1, p_max=1.3, z_max=2.0)

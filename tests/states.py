@@ -9,13 +9,14 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from formation_env import FormationConfig, Vehicle, arrays, configure
+from formation_env import FormationConfig, Vehicle, configure
 from formation_env._jit import plain
-from formation_env.disturbances import States
-from formation_env.levels import LEVELS, follower_layout
-from formation_env.records import LANES, define, fields, flatten, size
-from formation_env.sensors import Measured
-from formation_env.simulation import Simulation
+from formation_env.core import arrays
+from formation_env.core.simulation import Simulation
+from formation_env.laws.levels import LEVELS, follower_layout
+from formation_env.memory.records import LANES, define, fields, flatten, size
+from formation_env.physics.disturbances import States
+from formation_env.physics.sensors import Measured
 from formation_env.task import COLUMNS, Terms
 
 Floats = npt.NDArray[np.float64]

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from baselines.policies.actions import clipped, clipped_or_zero, corrected
 from formation_env import configure
 from formation_env._jit import plain
-from formation_env.levels import Guide, acceleration_action, driven, guided, wrench_action
-from formation_env.quadrotor import Wrench
-from formation_env.so3 import Vector
+from formation_env.laws.levels import Guide, acceleration_action, driven, guided, wrench_action
+from formation_env.maths.so3 import Vector
+from formation_env.physics.quadrotor import Wrench
 
 WORLDS = {level: configure("nominal", action=level).world for level in ("wrench", "rates")}
 UNIT = st.floats(-1.0, 1.0)

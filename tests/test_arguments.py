@@ -15,8 +15,8 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 
 from formation_env import configure, formation_v0
-from formation_env.checks import LONGEST
 from formation_env.env import FormationEnv
+from formation_env.validation.checks import LONGEST
 from formation_env.vector import FormationVectorEnv
 
 ID = "formation_env:Formation-v0"

@@ -25,8 +25,8 @@ from formation_env import (
     formation_v0,
     trajectories,
 )
-from formation_env.checks import LONGEST
 from formation_env.env import FormationEnv
+from formation_env.validation.checks import LONGEST
 from formation_env.vector import FormationVectorEnv
 
 QUIET = Noise(0.0, 0.0, 0.0, 0.0, 0.0)

@@ -17,10 +17,11 @@ from hostile import NOT_COUNTS, NOT_NUMBERS, NOT_ROWS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from formation_env import references, splines, trajectories
-from formation_env.checks import LONGEST
-from formation_env.references import Floats
+from formation_env import splines, trajectories
+from formation_env.paths import references
+from formation_env.paths.references import Floats
 from formation_env.trajectories import Trajectory
+from formation_env.validation.checks import LONGEST
 
 POINTS = [[0.0, 0.0, -1.0], [1.0, 0.0, -1.0]]
 

@@ -15,9 +15,10 @@ from benchmarks import grid, peers, profile, report, single, throughput
 from benchmarks.floor import LANES, Floor, _fly_tile
 from benchmarks.steps import steps_only
 from benchmarks.timing import in_turn, ratio, repeating
-from formation_env import configure, kernels
+from formation_env import configure
 from formation_env._jit import FASTMATH
-from formation_env.quadrotor import MOMENT, Body, Wrench, fly
+from formation_env.core import kernels
+from formation_env.physics.quadrotor import MOMENT, Body, Wrench, fly
 
 TINY = ["--quick", "--worlds", "1,3", "--followers", "2", "--rounds", "1", "--seconds", "0.0001"]
 

@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from formation_env import PlannerGains, TrackerGains, Vehicle, configure
-from formation_env.bounds import RK4_STABLE
-from formation_env.checks import LONGEST
+from formation_env.configuration.bounds import RK4_STABLE
+from formation_env.laws.world import MAX_TICKS
+from formation_env.validation.checks import LONGEST
 from formation_env.vector import FormationVectorEnv
-from formation_env.world import MAX_TICKS
 
 # -- the rate loop ------------------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from formation_env.checks import (
+from formation_env.validation.checks import (
     LONGEST,
     array,
     boolean,

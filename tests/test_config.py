@@ -18,8 +18,8 @@ from formation_env import (
     configure,
     trajectories,
 )
-from formation_env.leader_path import FlightWarning
-from formation_env.records import flatten, line_loader
+from formation_env.configuration.leader_path import FlightWarning
+from formation_env.memory.records import flatten, line_loader
 from formation_env.trajectories import circle
 
 

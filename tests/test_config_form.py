@@ -29,9 +29,9 @@ from formation_env import (
     splines,
     trajectories,
 )
-from formation_env.gains import RATES_GAINS
-from formation_env.leader_path import FlightWarning
-from formation_env.plain_form import plain
+from formation_env.configuration.leader_path import FlightWarning
+from formation_env.laws.gains import RATES_GAINS
+from formation_env.validation.plain_form import plain
 
 
 def through_json(value: Any) -> Any:

@@ -11,8 +11,14 @@ from closed_loop import PROPERTY, numbers, vectors
 from hypothesis import given
 from scipy import stats
 
-from formation_env import configure, disturbances, so3, world
-from formation_env.disturbances import (
+from formation_env import configure
+from formation_env.laws import world
+from formation_env.laws.world import World
+from formation_env.maths import so3
+from formation_env.maths.so3 import Vector
+from formation_env.memory.records import fields, flatten, line_storer, size
+from formation_env.physics import disturbances
+from formation_env.physics.disturbances import (
     DISTURBANCES,
     Disturbance,
     Gust,
@@ -25,10 +31,7 @@ from formation_env.disturbances import (
     over_table,
     parameters,
 )
-from formation_env.quadrotor import Body
-from formation_env.records import fields, flatten, line_storer, size
-from formation_env.so3 import Vector
-from formation_env.world import World
+from formation_env.physics.quadrotor import Body
 
 BODY = Body((1.0, 2.0, -3.0), (0.5, -0.25, 0.125), so3.IDENTITY, so3.ZERO)
 CALM = Gust(so3.ZERO)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from formation_env._jit import kernel
-from formation_env.elementary import (
+from formation_env.maths.elementary import (
     Single,
     log_of_unit,
     phase,
@@ -16,7 +16,7 @@ from formation_env.elementary import (
     sin_cos_of_octant,
     tanh,
 )
-from formation_env.references import Floats
+from formation_env.paths.references import Floats
 
 Singles = npt.NDArray[np.float32]
 

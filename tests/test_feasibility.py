@@ -15,10 +15,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from formation_env import configure, feasibility, formations, splines, trajectories
-from formation_env.checks import LONGEST
-from formation_env.feasibility import Feasibility, FeasibilityWarning
+from formation_env import configure, formations, splines, trajectories
+from formation_env.laws import feasibility
+from formation_env.laws.feasibility import Feasibility, FeasibilityWarning
 from formation_env.trajectories import Trajectory
+from formation_env.validation.checks import LONGEST
 
 PAIR = formations.paper_pair()
 lengths = st.floats(0.1, 2.0)

@@ -8,9 +8,9 @@ from closed_loop import PROPERTY, Sines, agree, rate
 from hypothesis import given
 from planar_loop import GENERIC, LAWS, SEEDS, STATES, D, control, flow, virtual
 
-from formation_env import feedforward, planner
-from formation_env.planner import PlannerLaw
-from formation_env.references import TrajectoryPoint
+from formation_env.laws import feedforward, planner
+from formation_env.laws.planner import PlannerLaw
+from formation_env.paths.references import TrajectoryPoint
 
 
 @PROPERTY

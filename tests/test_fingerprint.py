@@ -11,7 +11,8 @@ import pytest
 from fingerprint import LEVELS, MODES, SCENARIOS, WORLDS, fly_many, lines, pilot
 from numba import config
 
-from formation_env import configure, simulation
+from formation_env import configure
+from formation_env.core import simulation
 
 pytestmark = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="takes minutes in plain Python")
 

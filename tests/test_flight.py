@@ -14,9 +14,10 @@ import pytest
 from numba import config as numba_config
 from states import filled, lane_of, line, measured_in, tile
 
-from formation_env import configure, flight, quadrotor
-from formation_env.arrays import Counters, Touch, rows
-from formation_env.levels import (
+from formation_env import configure
+from formation_env.core import flight
+from formation_env.core.arrays import Counters, Touch, rows
+from formation_env.laws.levels import (
     LEVELS,
     Follower,
     Guide,
@@ -26,12 +27,13 @@ from formation_env.levels import (
     guided,
     numbered,
 )
-from formation_env.quadrotor import MOMENT, RATES, Body, Wrench, saturate
-from formation_env.records import LANES, flatten, size
-from formation_env.sensors import Measured, truth
+from formation_env.laws.world import follow, motion, track
+from formation_env.memory.records import LANES, flatten, size
+from formation_env.physics import quadrotor
+from formation_env.physics.quadrotor import MOMENT, RATES, Body, Wrench, saturate
+from formation_env.physics.sensors import Measured, truth
+from formation_env.physics.turning import slow_by_moment, slow_by_rates, stays_up, turning
 from formation_env.trajectories import TrajectoryPoint
-from formation_env.turning import slow_by_moment, slow_by_rates, stays_up, turning
-from formation_env.world import follow, motion, track
 
 Floats = npt.NDArray[np.float64]
 

@@ -15,11 +15,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import pdist
 
-from formation_env import feasibility, formations, slots, trajectories
+from formation_env import formations, trajectories
 from formation_env._jit import plain
-from formation_env.checks import LONGEST
-from formation_env.placement import MAX_FOLLOWERS
-from formation_env.references import Floats
+from formation_env.configuration.placement import MAX_FOLLOWERS
+from formation_env.laws import feasibility, slots
+from formation_env.paths.references import Floats
+from formation_env.validation.checks import LONGEST
 
 counts = st.integers(1, 256)
 Maker = Callable[[int], Floats]

@@ -16,10 +16,10 @@ from episodes import LEVELS, SCENARIOS, arrays, episode, gentle, reward_terms, s
 from gymnasium.utils.env_checker import check_env
 
 from formation_env import Limits, trajectories
+from formation_env.core.simulation import Simulation
 from formation_env.env import FormationEnv
-from formation_env.levels import REFERENCE
-from formation_env.quadrotor import GRAVITY
-from formation_env.simulation import Simulation
+from formation_env.laws.levels import REFERENCE
+from formation_env.physics.quadrotor import GRAVITY
 from formation_env.task import (
     COLLISION,
     IMPACT,

@@ -9,17 +9,18 @@ import numpy.typing as npt
 import pytest
 from states import filled, lane_of, line, measured_in, tile
 
-from formation_env import Limits, Rewards, judging, task
-from formation_env.arrays import Candidate, Counters, Squares, Tally, Touch, Verdict, rows
-from formation_env.flight import Position
-from formation_env.levels import (
+from formation_env import Limits, Rewards, task
+from formation_env.core import judging
+from formation_env.core.arrays import Candidate, Counters, Squares, Tally, Touch, Verdict, rows
+from formation_env.core.flight import Position
+from formation_env.laws.levels import (
     Follower,
 )
-from formation_env.records import LANES, bounds, flatten, size
-from formation_env.sensors import Measured
-from formation_env.slots import advance_heading
+from formation_env.laws.slots import advance_heading
+from formation_env.laws.world import Action
+from formation_env.memory.records import LANES, bounds, flatten, size
+from formation_env.physics.sensors import Measured
 from formation_env.task import LEADER, NO_FAILURE, Neighbour, Observation, Outcome, Terms
-from formation_env.world import Action
 
 Floats = npt.NDArray[np.float64]
 Vector3 = Position  # a record of one vector

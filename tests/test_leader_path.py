@@ -15,15 +15,21 @@ from hypothesis import strategies as st
 from paths import closed_forms, keys, random_ones, sizes
 
 from formation_env import SCENARIOS, FormationConfig, Vehicle, configure, splines, trajectories
-from formation_env.checks import LONGEST
-from formation_env.feasibility import FeasibilityWarning
-from formation_env.leader_path import FlightWarning, Reach, _bounds, _demands, _plainly_flyable
-from formation_env.quadrotor import GRAVITY
-from formation_env.references import Floats
+from formation_env.configuration.leader_path import (
+    FlightWarning,
+    Reach,
+    _bounds,
+    _demands,
+    _plainly_flyable,
+)
+from formation_env.laws.feasibility import FeasibilityWarning
+from formation_env.paths.references import Floats
+from formation_env.physics.quadrotor import GRAVITY
 from formation_env.task import ANYWHERE, ENTRIES, NEAR, RATE_BOUND, Limits
 from formation_env.trajectories import SINES, Trajectory, circle, line
+from formation_env.validation.checks import LONGEST
 
-pytestmark = pytest.mark.filterwarnings("ignore::formation_env.feasibility.FeasibilityWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::formation_env.laws.feasibility.FeasibilityWarning")
 
 gaps = st.floats(0.5, 3.0)
 POINTS = np.array([[0.0, 0.0, -1.5], [1.0, 0.5, -2.5], [0.0, 0.0, -1.5]])

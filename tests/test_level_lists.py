@@ -13,7 +13,7 @@ from baselines.policies import tuned
 from baselines.scoring import options as scoring
 from formation_env import config as configuration
 from formation_env import configure
-from formation_env.levels import LEVELS, NAMES
+from formation_env.laws.levels import LEVELS, NAMES
 from train import options as training
 
 

@@ -11,9 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from states import filled, lane_of, line, tile
 
-from formation_env import configure, levels, task
-from formation_env.arrays import rows
-from formation_env.levels import (
+from formation_env import configure, task
+from formation_env.core.arrays import rows
+from formation_env.core.simulation import Simulation
+from formation_env.laws import levels
+from formation_env.laws.levels import (
     LEVELS,
     NAMES,
     Follower,
@@ -31,14 +33,13 @@ from formation_env.levels import (
     view_guide,
     wrench_action,
 )
-from formation_env.quadrotor import MOMENT, RATES, Wrench
-from formation_env.records import LANES, bounds, fields, flatten, is_record, notes, size
-from formation_env.sensors import Measured
-from formation_env.simulation import Simulation
-from formation_env.slots import Slot, in_frame
-from formation_env.so3 import Vector
+from formation_env.laws.slots import Slot, in_frame
+from formation_env.laws.world import Action, Reach
+from formation_env.maths.so3 import Vector
+from formation_env.memory.records import LANES, bounds, fields, flatten, is_record, notes, size
+from formation_env.physics.quadrotor import MOMENT, RATES, Wrench
+from formation_env.physics.sensors import Measured
 from formation_env.trajectories import TrajectoryPoint
-from formation_env.world import Action, Reach
 
 LEVEL = pytest.mark.parametrize("level", LEVELS, ids=NAMES)
 ACTIONS = st.tuples(*[numbers(1.0)] * 4)

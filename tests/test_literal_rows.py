@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 FOLDERS = ("formation_env", "baselines", "train", "tests")
-KNOWS = ("formation_env/records.py", "tests/test_literal_rows.py")
+KNOWS = ("formation_env/memory/records.py", "tests/test_literal_rows.py")
 
 # Arrays whose numbers have names: how many places they have, and which of these runs over the numbers.
 # Those in tiles have their rows in the last place, lane by lane; what a call returns has columns there.

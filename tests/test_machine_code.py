@@ -25,7 +25,8 @@ pytestmark = [
 LISTING = """
 import importlib, json, pkgutil, sys
 import formation_env
-from formation_env import kernels, tiles
+from formation_env.core import kernels
+from formation_env.memory import tiles
 
 loops = {id(one.run): (f"{one.law.__module__}.{one.name}", one.run) for one in tiles.LOOPS}
 for found in pkgutil.walk_packages(formation_env.__path__, "formation_env."):
@@ -34,7 +35,7 @@ for found in pkgutil.walk_packages(formation_env.__path__, "formation_env."):
         if linked is not one and linked.targetoptions.get("nogil"):
             loops.setdefault(id(one), (f"{one.__module__}.{name}", one))
 
-from formation_env.simulation import Simulation
+from formation_env.core.simulation import Simulation
 Simulation(formation_env.configure("nominal")).reset()
 for name, run in loops.values():
     for signature in list(run.get_overload.__self__.overloads):
@@ -46,21 +47,21 @@ for name, run in loops.values():
 
 # What moves and selects numbers but does not compute.
 MOVES = {
-    "formation_env.shuffles.copy": "copies",
-    "formation_env.shuffles.copy_numbers": "copies",
-    "formation_env.shuffles.clear": "writes zeros",
-    "formation_env.nearest._begin": "copies",
-    "formation_env.flight.in_the_air": "writes constants",
-    "formation_env.judging.no_candidate": "writes constants",
+    "formation_env.memory.shuffles.copy": "copies",
+    "formation_env.memory.shuffles.copy_numbers": "copies",
+    "formation_env.memory.shuffles.clear": "writes zeros",
+    "formation_env.core.nearest._begin": "copies",
+    "formation_env.core.flight.in_the_air": "writes constants",
+    "formation_env.core.judging.no_candidate": "writes constants",
 }
 # What may be scalar code, and why.
 SCALAR = {
-    "formation_env.shuffles.take_clipped": "reads numbers that do not lie side by side",
+    "formation_env.memory.shuffles.take_clipped": "reads numbers that do not lie side by side",
     # Unrolled, they are so short that the compiler does so before it would make vector code of them.
-    "formation_env.flight.line_of_reference": "a product and a comparison, once for each tile",
-    "formation_env.flight.number_of_sample": "a sum, once for each tile",
-    "formation_env.judging.distance_of": "a root, where a trigger has fired or an episode has ended",
-    "formation_env.flight.note_start": "a comparison, twice for each tile",
+    "formation_env.core.flight.line_of_reference": "a product and a comparison, once for each tile",
+    "formation_env.core.flight.number_of_sample": "a sum, once for each tile",
+    "formation_env.core.judging.distance_of": "a root, where a trigger has fired or an episode has ended",
+    "formation_env.core.flight.note_start": "a comparison, twice for each tile",
 }
 # Operations of processors: packed ones on floating-point or whole numbers, scalar ones on the former.
 _PACKED = re.compile(
@@ -121,16 +122,17 @@ def names(listings: list[Listing]) -> set[str]:
 
 def _sources(root: Path) -> Iterator[tuple[str, str]]:
     for path in (root / "formation_env").rglob("*.py"):
-        yield path.stem, path.read_text(encoding="utf-8")
+        module = ".".join(path.relative_to(root).with_suffix("").parts)
+        yield module, path.read_text(encoding="utf-8")
 
 
 def test_all_loops_are_found(listings: list[Listing], root: Path) -> None:
     """As many as the sources mark, and those of each statement that makes some of a law."""
     for module, text in _sources(root):
         for name in re.findall(r"^@loop\ndef (\w+)", text, re.MULTILINE):
-            assert f"formation_env.{module}.{name}" in names(listings)
+            assert f"{module}.{name}" in names(listings)
         for law in re.findall(r"= over_lanes\(\s*(\w+)", text):
-            pattern = rf"formation_env\.\w+\.{law}(_\d+)*"
+            pattern = rf"formation_env(\.\w+)+\.{law}(_\d+)*"
             assert any(re.fullmatch(pattern, name) for name in names(listings)), law
     assert MOVES.keys() | SCALAR.keys() <= names(listings), "an exception that is no loop"
 
@@ -156,7 +158,9 @@ def test_the_loops_that_fly_compute_packed(listings: list[Listing]) -> None:
     """The longest ones: dozens of packed sums and products each, nearly no scalar ones."""
     for law, least in (("move", 100), ("follow", 100), ("noisy", 40), ("observed", 20)):
         runs = [
-            one for one in listings if re.fullmatch(rf"formation_env\.\w+\.{law}(_\d)*", one.loop)
+            one
+            for one in listings
+            if re.fullmatch(rf"formation_env(\.\w+)+\.{law}(_\d)*", one.loop)
         ]
         assert runs, law
         for one in runs:

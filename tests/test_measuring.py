@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from states import begun, counters, filled, lane_of, measured_in
 
-from formation_env import arrays, measuring
 from formation_env._jit import plain
-from formation_env.arrays import Touch, rows
-from formation_env.flight import Position
-from formation_env.quadrotor import Body, Wrench
-from formation_env.records import LANES, flatten, size
-from formation_env.sensors import (
+from formation_env.core import arrays, measuring
+from formation_env.core.arrays import Touch, rows
+from formation_env.core.flight import Position
+from formation_env.core.simulation import Simulation
+from formation_env.memory.records import LANES, flatten, size
+from formation_env.physics.quadrotor import Body, Wrench
+from formation_env.physics.sensors import (
     Measured,
     Noise,
     angular_difference,
@@ -23,7 +24,6 @@ from formation_env.sensors import (
     difference,
     truth,
 )
-from formation_env.simulation import Simulation
 
 NOISE = Noise(0.2, 0.1, 0.01, 0.3, 0.02)
 WHO = 2

@@ -14,7 +14,7 @@ from baselines.scoring.intervals import Estimate, estimate, mean, normalised, su
 from baselines.scoring.metrics import EPISODE, KINDS, SETTLED, add_tick, begin, episodes
 from baselines.scoring.rollout import fly as fly_policy
 from formation_env import FormationConfig, configure, splines
-from formation_env.records import size
+from formation_env.memory.records import size
 from formation_env.task import COLLISION, COLUMNS, FAILED, SEPARATION, Outcome
 
 TICKS = 200  # of 0.02 s

@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 from formation_env import formations
 from formation_env._jit import kernel
-from formation_env.nearest import (
+from formation_env.core.nearest import (
     BLOCK,
     MARGIN,
     MEETING_ROWS,
@@ -24,7 +24,7 @@ from formation_env.nearest import (
     number_at,
     put_in_order,
 )
-from formation_env.so3 import dot, sub
+from formation_env.maths.so3 import dot, sub
 
 # Without the compiler NumPy tells of infinity minus infinity, and of squares that overflow.
 pytestmark = pytest.mark.filterwarnings(

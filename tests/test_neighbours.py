@@ -9,13 +9,13 @@ import numpy.typing as npt
 import pytest
 from states import begun, filled, lane_of, measured_in
 
-from formation_env import arrays, neighbours
-from formation_env.arrays import Squares, rows
-from formation_env.levels import Follower
-from formation_env.neighbours import CROWD
-from formation_env.records import LANES, bounds, flatten, size
-from formation_env.sensors import Measured, Noise
-from formation_env.simulation import Simulation
+from formation_env.core import arrays, neighbours
+from formation_env.core.arrays import Squares, rows
+from formation_env.core.neighbours import CROWD
+from formation_env.core.simulation import Simulation
+from formation_env.laws.levels import Follower
+from formation_env.memory.records import LANES, bounds, flatten, size
+from formation_env.physics.sensors import Measured, Noise
 from formation_env.task import Neighbour, Passing, observe_neighbour
 
 # Without the compiler NumPy tells of infinity minus infinity, and of squares that overflow.

@@ -27,7 +27,7 @@ from baselines.system.writing import claim
 from formation_env.config import NO_NOISE
 from formation_env.scenarios import configure
 
-pytestmark = pytest.mark.filterwarnings("ignore::formation_env.feasibility.FeasibilityWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::formation_env.laws.feasibility.FeasibilityWarning")
 
 # What does not hold, and why, is said in the claims' notes.
 REFUTED = {"speed-independent-of-dy", "heights-carry-over-under-noise"}

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from paths import closed_forms, random_ones
 
 from formation_env import splines, trajectories
-from formation_env.checks import LONGEST
 from formation_env.trajectories import Trajectory, as_trajectory
+from formation_env.validation.checks import LONGEST
 
 POINTS = [[0.0, 0.0, -1.0], [1.0, 0.0, -1.0]]
 anything = st.one_of(closed_forms, random_ones())

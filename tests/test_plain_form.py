@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from formation_env import Limits, Noise, PlannerGains, Vehicle
-from formation_env.plain_form import plain
+from formation_env.validation.plain_form import plain
 
 
 @pytest.mark.parametrize(

@@ -30,10 +30,10 @@ from planar_loop import (
 )
 from scipy.integrate import solve_ivp
 
-from formation_env import planner
-from formation_env.planner import PlannerLaw, Virtual
-from formation_env.references import TrajectoryPoint
-from formation_env.so3 import Vector
+from formation_env.laws import planner
+from formation_env.laws.planner import PlannerLaw, Virtual
+from formation_env.maths.so3 import Vector
+from formation_env.paths.references import TrajectoryPoint
 
 
 @PROPERTY

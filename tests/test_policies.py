@@ -14,9 +14,9 @@ from baselines.policies import expert_lanes
 from baselines.policies.base import Policy
 from baselines.policies.expert import Expert
 from formation_env import FormationConfig, configure
-from formation_env.quadrotor import GRAVITY
-from formation_env.records import slices
-from formation_env.simulation import Simulation, seeded_key
+from formation_env.core.simulation import Simulation, seeded_key
+from formation_env.memory.records import slices
+from formation_env.physics.quadrotor import GRAVITY
 from formation_env.task import COLUMNS
 from formation_env.trajectories import hover
 

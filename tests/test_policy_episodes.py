@@ -20,11 +20,11 @@ from baselines.policies.learned import Learned
 from baselines.policies.new_episodes import DOUBTFUL, NEW, Watch
 from baselines.policies.tuned import ExpertTuned, own
 from formation_env import SCENARIOS, FormationConfig, configure
+from formation_env.core.simulation import Simulation, seeded_key
 from formation_env.env import FormationEnv
-from formation_env.sensors import Noise
-from formation_env.simulation import Simulation, seeded_key
+from formation_env.physics.sensors import Noise
+from formation_env.physics.vehicle import Vehicle
 from formation_env.trajectories import hover
-from formation_env.vehicle import Vehicle
 
 LEVELS = ("wrench", "rates", "reference")
 gym.register_envs(formation_env)

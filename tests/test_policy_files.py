@@ -29,10 +29,10 @@ from baselines.policies.tuned import read
 from baselines.reporting.board import BEGIN, END
 from baselines.scoring.evaluation import evaluate, find_flyable
 from formation_env import FeasibilityWarning, FormationConfig, configure
-from formation_env.checks import LONGEST
+from formation_env.physics.vehicle import Vehicle
 from formation_env.scenarios import PAPER_NOISE
 from formation_env.trajectories import hover
-from formation_env.vehicle import Vehicle
+from formation_env.validation.checks import LONGEST
 
 NOMINAL = configure("nominal")
 ENTRIES = NOMINAL.layout.size

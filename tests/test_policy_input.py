@@ -19,8 +19,8 @@ from baselines.policies.transfer import TransferWarning
 from baselines.policies.tuned import ExpertTuned, Gains, UntunedWarning, own
 from baselines.registry import SHIPPED
 from formation_env import SCENARIOS, configure
-from formation_env.checks import LONGEST
-from formation_env.simulation import Simulation, seeded_key
+from formation_env.core.simulation import Simulation, seeded_key
+from formation_env.validation.checks import LONGEST
 
 LEVELS = ("wrench", "rates", "reference")
 CONFIG = configure("nominal")

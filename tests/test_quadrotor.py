@@ -11,10 +11,10 @@ from hypothesis import given
 from numba import config, njit
 from scipy.integrate import solve_ivp
 
-from formation_env import quadrotor as quad
-from formation_env import so3
-from formation_env.quadrotor import GRAVITY, MOMENT, RATES, Airframe, Body, Wrench
-from formation_env.so3 import IDENTITY, ZERO, Quaternion, Vector
+from formation_env.maths import so3
+from formation_env.maths.so3 import IDENTITY, ZERO, Quaternion, Vector
+from formation_env.physics import quadrotor as quad
+from formation_env.physics.quadrotor import GRAVITY, MOMENT, RATES, Airframe, Body, Wrench
 
 FREE = (inf, inf, inf)
 AIRFRAME = Airframe(0.3, (1.0e-3, 1.7e-3, 2.6e-3), -inf, inf, FREE, FREE, 0.08)

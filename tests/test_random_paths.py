@@ -11,8 +11,9 @@ from hypothesis import given
 from paths import keys, random_ones
 from scipy import stats
 
-from formation_env import random_paths, trajectories
-from formation_env.random_paths import FASTEST, RandomSmooth
+from formation_env import trajectories
+from formation_env.paths import random_paths
+from formation_env.paths.random_paths import FASTEST, RandomSmooth
 from formation_env.trajectories import Trajectory, path_start
 
 BOUNDS = RandomSmooth(1.5, 0.75, 1.0, 1.5, 0.5, 3)

@@ -20,9 +20,13 @@ from hypothesis import strategies as st
 from numba import config as numba_config
 from states import as_python, compiled
 
-from formation_env import arrays, levels, records, sensors, task, world
+from formation_env import task
 from formation_env._jit import plain
-from formation_env.records import LANES, Quantity
+from formation_env.core import arrays
+from formation_env.laws import levels, world
+from formation_env.memory import records
+from formation_env.memory.records import LANES, Quantity
+from formation_env.physics import sensors
 
 Pair = tuple[float, float]
 
@@ -353,7 +357,8 @@ def test_the_same_in_plain_python(root: Path) -> None:
     """With the compiler off, in a process of its own: this file, and the generated functions are Python's."""
     program = (
         "import sys, types, pytest\n"
-        "from formation_env import records, quadrotor\n"
+        "from formation_env.memory import records\n"
+        "from formation_env.physics import quadrotor\n"
         "assert type(records.loader(quadrotor.Wrench)) is types.FunctionType\n"
         "sys.exit(pytest.main(['-q', '-p', 'no:cacheprovider', *sys.argv[1:]]))\n"
     )

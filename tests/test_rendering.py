@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from formation_env.env import FormationEnv
-from formation_env.faces import path_times
-from formation_env.references import Floats
+from formation_env.interface.faces import path_times
+from formation_env.paths.references import Floats
 from formation_env.rendering import Renderer, Scene
 from formation_env.rendering.camera import Camera, Follow, look, project
 from formation_env.rendering.geometry import (

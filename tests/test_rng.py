@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from formation_env import rng
+from formation_env.maths import rng
 
 # Known-answer vectors of Philox4x32-10, distributed with Random123 (kat_vectors).
 KNOWN = [

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from formation_env._jit import device
-from formation_env.runge_kutta import along, runge_kutta
+from formation_env.maths.runge_kutta import along, runge_kutta
 
 
 class Inner(NamedTuple):

@@ -11,8 +11,8 @@ from scipy.stats import kstest
 from states import outcome
 
 from formation_env import configure, scenarios
+from formation_env.core.simulation import Simulation
 from formation_env.env import FormationEnv
-from formation_env.simulation import Simulation
 from formation_env.trajectories import Trajectory
 
 

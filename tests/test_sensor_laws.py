@@ -11,9 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from formation_env import sensors, so3
-from formation_env.sensors import Measured, Noise
-from formation_env.so3 import Quaternion, Vector
+from formation_env.maths import so3
+from formation_env.maths.so3 import Quaternion, Vector
+from formation_env.physics import sensors
+from formation_env.physics.sensors import Measured, Noise
 
 NOISE = Noise(0.2, 0.1, 0.05, 0.03, 0.02)
 TRUTH = Measured((1.0, -2.0, -3.0), (0.5, 0.6, 0.7), (0.1, 0.2, 9.0), so3.IDENTITY, (1.0, 2.0, 3.0))

@@ -11,16 +11,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 from states import filled, line, measured_in
 
-from formation_env import Limits, Noise, arrays, configure, trajectories
+from formation_env import Limits, Noise, configure, trajectories
 from formation_env._jit import kernel
 from formation_env.config import FormationConfig
-from formation_env.flight import sense_exactly
-from formation_env.measuring import measure_with_noise
-from formation_env.quadrotor import GRAVITY, Wrench
-from formation_env.records import LANES, size
+from formation_env.core import arrays
+from formation_env.core.flight import sense_exactly
+from formation_env.core.measuring import measure_with_noise
+from formation_env.core.simulation import Simulation
+from formation_env.memory.records import LANES, size
+from formation_env.physics.quadrotor import GRAVITY, Wrench
+from formation_env.physics.sensors import Measured, angular_difference, corrupt
 from formation_env.scenarios import PAPER_NOISE
-from formation_env.sensors import Measured, angular_difference, corrupt
-from formation_env.simulation import Simulation
 
 
 @kernel

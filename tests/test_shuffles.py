@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from formation_env import shuffles
 from formation_env._jit import kernel, plain
-from formation_env.records import LANES
-from formation_env.shuffles import (
+from formation_env.memory import shuffles
+from formation_env.memory.records import LANES
+from formation_env.memory.shuffles import (
     carve,
     fetch,
     gather,

@@ -21,11 +21,12 @@ from episodes import wild
 from numba import config as numba_config
 from states import begun, counters, disturbances, still
 
-from formation_env import arrays, configure, kernels, simulation, splines, trajectories
-from formation_env.exclusive import Exclusive
-from formation_env.rng import words
-from formation_env.simulation import Simulation
-from formation_env.world import MAX_TICKS
+from formation_env import configure, splines, trajectories
+from formation_env.core import arrays, kernels, simulation
+from formation_env.core.exclusive import Exclusive
+from formation_env.core.simulation import Simulation
+from formation_env.laws.world import MAX_TICKS
+from formation_env.maths.rng import words
 
 LONG = 60.0  # s: what takes longer hangs
 LATE = "another thread is at work"
@@ -153,7 +154,8 @@ def test_copies_are_free_and_independent() -> None:
 def test_an_interrupt_ends_two_stepping_threads() -> None:
     program = (
         "import threading, numpy as np\n"
-        "from formation_env import configure, simulation\n"
+        "from formation_env import configure\n"
+        "from formation_env.core import simulation\n"
         "simulation._VEHICLES_PER_THREAD, simulation.cores = 1, lambda: 3\n"
         "made = simulation.Simulation(configure('nominal'), 64, 3)\n"
         "made.reset()\n"

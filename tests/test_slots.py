@@ -10,8 +10,8 @@ from closed_loop import PROPERTY, Sines, agree, numbers, rate, vector, vectors
 from hypothesis import given
 from scipy.integrate import solve_ivp
 
-from formation_env import slots
-from formation_env.so3 import Vector
+from formation_env.laws import slots
+from formation_env.maths.so3 import Vector
 
 D = (0.35, -0.5, -0.3)  # m
 

@@ -25,11 +25,12 @@ from states import (
     vehicles,
 )
 
-from formation_env import configure, kernels
-from formation_env.arrays import rows
-from formation_env.records import LANES
-from formation_env.sensors import Measured
-from formation_env.simulation import Simulation, Snapshot
+from formation_env import configure
+from formation_env.core import kernels
+from formation_env.core.arrays import rows
+from formation_env.core.simulation import Simulation, Snapshot
+from formation_env.memory.records import LANES
+from formation_env.physics.sensors import Measured
 
 TASKS: dict[str, dict[str, Any]] = {
     "nominal": {"scenario": "nominal"},

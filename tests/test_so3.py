@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from formation_env import so3
+from formation_env.maths import so3
 
 
 def matrix(q: so3.Quaternion) -> np.ndarray:

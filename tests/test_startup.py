@@ -65,6 +65,25 @@ def test_compiling_is_announced_once_and_kept_for_the_next_process(tmp_path: Pat
     assert hits == "1" and said == ""
 
 
+def test_a_change_in_another_folder_of_the_package_is_compiled_anew(tmp_path: Path) -> None:
+    """A kernel in one folder links laws of others."""
+    package = tmp_path / "formation_env"
+    for folder in (package, package / "core", package / "laws"):
+        folder.mkdir()
+        (folder / "__init__.py").write_text("", encoding="utf-8")
+    for source in (ROOT / "formation_env").glob("_[a-z]*.py"):
+        shutil.copy(source, package)
+    (package / "core" / "small.py").write_text(SMALL, encoding="utf-8")
+    (package / "laws" / "law.py").write_text("", encoding="utf-8")
+    # Without the folder that the tests run in, which is the checkout.
+    call = "import sys\nsys.path.remove('')\n"
+    call += CALL.replace("import small", "from formation_env.core import small")
+    assert run(call, tmp_path)[0][0] == "0"
+    assert run(call, tmp_path)[0][0] == "1"
+    (package / "laws" / "law.py").write_text("GAIN = 1.0", encoding="utf-8")
+    assert run(call, tmp_path)[0][0] == "0"
+
+
 def test_a_change_in_a_law_is_compiled_anew(tmp_path: Path) -> None:
     """Numba itself would look at the kernel's file alone."""
     (tmp_path / "small.py").write_text(SMALL, encoding="utf-8")

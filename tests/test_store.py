@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from states import compiled
 
-from formation_env import arrays, configure
+from formation_env import configure
 from formation_env._jit import kernel, plain
-from formation_env.simulation import Simulation
-from formation_env.store import Store, size_reader
+from formation_env.core import arrays
+from formation_env.core.simulation import Simulation
+from formation_env.memory.store import Store, size_reader
 
 
 class Lengths(NamedTuple):

@@ -11,9 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from paths import closed_forms, sizes, speeds
 
-from formation_env import splines, tables, trajectories
-from formation_env.references import LEMNISCATE, SINES, SPLINE, Floats
-from formation_env.tables import LARGEST, MOST_HARMONICS
+from formation_env import splines, trajectories
+from formation_env.paths import tables
+from formation_env.paths.references import LEMNISCATE, SINES, SPLINE, Floats
+from formation_env.paths.tables import LARGEST, MOST_HARMONICS
 from formation_env.trajectories import Trajectory
 
 

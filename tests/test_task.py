@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 from states import outcome
 
 from formation_env import Limits, Rewards, configure, trajectories
-from formation_env.levels import REFERENCE
-from formation_env.simulation import Simulation
+from formation_env.core.simulation import Simulation
+from formation_env.laws.levels import REFERENCE
 from formation_env.task import FAILURES, LOST, NO_FAILURE, Layout, failure, reward
 
 FREE = Limits(collision=1e-3, impact=1e3, tilt=-1.0, lost=1e4)

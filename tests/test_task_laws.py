@@ -12,12 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from formation_env import Limits, Rewards, so3, task
-from formation_env.levels import LEVELS, NAMES, Estimate, Guide, view_guide
-from formation_env.sensors import Measured
-from formation_env.so3 import Vector
+from formation_env import Limits, Rewards, task
+from formation_env.laws.levels import LEVELS, NAMES, Estimate, Guide, view_guide
+from formation_env.laws.world import Action
+from formation_env.maths import so3
+from formation_env.maths.so3 import Vector
+from formation_env.physics.sensors import Measured
 from formation_env.task import COLLISION, IMPACT, LOST, NO_FAILURE, Layout, Passing
-from formation_env.world import Action
 
 MEASURED = st.builds(
     Measured, vectors(5.0), vectors(3.0), vectors(2.0), quaternions(), vectors(4.0)

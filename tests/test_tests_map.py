@@ -92,4 +92,4 @@ def test_tables_are_read_without_their_headers() -> None:
     headers = sum("---" in line for line in lines)
     assert len(lines) == len(MAP) + len(OTHERS) + 2 * headers
     assert all("tests" not in row for row in OTHERS)
-    assert tables_in_docs.own_tests()["formation_env.planner"] == ["test_planner.py"]
+    assert tables_in_docs.own_tests()["formation_env.laws.planner"] == ["test_planner.py"]

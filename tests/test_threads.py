@@ -18,8 +18,9 @@ import numpy as np
 import pytest
 from numba import config, njit
 
-from formation_env import configure, kernels, simulation, threads
-from formation_env.simulation import Simulation
+from formation_env import configure
+from formation_env.core import kernels, simulation, threads
+from formation_env.core.simulation import Simulation
 
 pytestmark = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="Python has no atomics")
 
@@ -293,7 +294,8 @@ def test_few_vehicles_get_no_thread(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_interpreter_ends_with_threads_about(pause: float) -> None:
     program = (
         "import time\n"
-        "from formation_env import configure, simulation\n"
+        "from formation_env import configure\n"
+        "from formation_env.core import simulation\n"
         "simulation._VEHICLES_PER_THREAD, simulation.cores = 1, lambda: 3\n"
         "made = simulation.Simulation(configure('nominal'), 64, 3)\n"
         "made.reset()\n"

@@ -10,11 +10,11 @@ import pytest
 from numba import config as numba_config
 from states import filled, lane_of, line
 
-from formation_env import tiles
 from formation_env._jit import device, kernel, plain
-from formation_env.arrays import rows
-from formation_env.records import LANES, build, fields, flatten, size
-from formation_env.tiles import FLAGS, LOOPS, over_lanes
+from formation_env.core.arrays import rows
+from formation_env.memory import tiles
+from formation_env.memory.records import LANES, build, fields, flatten, size
+from formation_env.memory.tiles import FLAGS, LOOPS, over_lanes
 
 Pair = tuple[float, float]
 

@@ -15,11 +15,12 @@ from scipy.integrate import quad, solve_ivp
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from formation_env import so3, tracker
-from formation_env.quadrotor import GRAVITY
-from formation_env.references import TrajectoryPoint
-from formation_env.so3 import Quaternion, Vector
-from formation_env.tracker import Motion, TrackerLaw
+from formation_env.laws import tracker
+from formation_env.laws.tracker import Motion, TrackerLaw
+from formation_env.maths import so3
+from formation_env.maths.so3 import Quaternion, Vector
+from formation_env.paths.references import TrajectoryPoint
+from formation_env.physics.quadrotor import GRAVITY
 
 PAPER = TrackerLaw(
     k1=0.5, k2=1.5, k3=10.0, k4=0.5, kz=1.0, sigma_max=5.0, c=50.0, p11=1.0, p12=1.0 / 3.0, p22=0.5

@@ -23,7 +23,7 @@ with warnings.catch_warnings():
 from baselines import files, make_policy
 from baselines.policies.learned import Learned
 from formation_env import configure
-from formation_env.simulation import Simulation, seeded_key
+from formation_env.core.simulation import Simulation, seeded_key
 from train.imitate import main
 from train.imitate.options import Options
 from train.seeds import TRAINING_SEEDS

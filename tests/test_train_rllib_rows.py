@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode
 
 from baselines import make_policy
 from formation_env import configure
-from formation_env.simulation import Simulation, seeded_key
+from formation_env.core.simulation import Simulation, seeded_key
 from formation_env.task import REWARD
 from train.rllib.rows import FollowerRows
 from train.seeds import TRAINING_SEEDS

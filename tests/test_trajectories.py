@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from paths import angles, closed_forms, heights, keys, paths, random_ones, sizes, speeds
 from scipy.special import ellipk, ellipkinc
 
-from formation_env import references, splines, trajectories
-from formation_env.references import Floats
+from formation_env import splines, trajectories
+from formation_env.paths import references
+from formation_env.paths.references import Floats
 from formation_env.trajectories import Trajectory
 
 

@@ -18,8 +18,8 @@ from baselines.policies.expert import Expert
 from baselines.policies.tuned import ExpertTuned, Gains, UntunedWarning, lawful, own, read
 from baselines.scoring.rollout import fly
 from formation_env import SCENARIOS, FeasibilityWarning, configure
-from formation_env.checks import LONGEST
-from formation_env.simulation import Simulation, seeded_key
+from formation_env.core.simulation import Simulation, seeded_key
+from formation_env.validation.checks import LONGEST
 
 SHIPPED = read()
 VALIDATION = 300_000  # neither those of the search nor those of the leaderboard

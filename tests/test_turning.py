@@ -10,14 +10,15 @@ import pytest
 from numba import config as numba_config
 from states import PARTS, begun, line, still, tile, unchecked, vehicles
 
-from formation_env import Vehicle, configure, flight, kernels
-from formation_env.arrays import rows
-from formation_env.quadrotor import GRAVITY, MOMENT, RATES, Airframe, Wrench
-from formation_env.records import LANES
-from formation_env.sensors import Measured
-from formation_env.simulation import Simulation
-from formation_env.turning import turning
-from formation_env.world import Clock
+from formation_env import Vehicle, configure
+from formation_env.core import flight, kernels
+from formation_env.core.arrays import rows
+from formation_env.core.simulation import Simulation
+from formation_env.laws.world import Clock
+from formation_env.memory.records import LANES
+from formation_env.physics.quadrotor import GRAVITY, MOMENT, RATES, Airframe, Wrench
+from formation_env.physics.sensors import Measured
+from formation_env.physics.turning import turning
 
 Floats = npt.NDArray[np.float64]
 Named = dict[str, Floats]

@@ -20,11 +20,12 @@ from states import (
     vehicles,
 )
 
-from formation_env import kernels, trajectories
+from formation_env import trajectories
+from formation_env.core import kernels
+from formation_env.core.simulation import Simulation
 from formation_env.env import FormationEnv
 from formation_env.formation_v0 import parallel_env
-from formation_env.sensors import Noise
-from formation_env.simulation import Simulation
+from formation_env.physics.sensors import Noise
 from formation_env.task import COLLISION, FAILURES, LEADER, LOST, Rewards
 from formation_env.vector import FormationVectorEnv
 

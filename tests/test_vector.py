@@ -14,7 +14,8 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, Vecto
 from gymnasium.wrappers.vector import NormalizeObservation, RecordEpisodeStatistics
 from numba import config
 
-from formation_env import Limits, configure, kernels, simulation
+from formation_env import Limits, configure
+from formation_env.core import kernels, simulation
 from formation_env.task import Terms
 from formation_env.vector import FormationVectorEnv
 

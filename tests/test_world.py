@@ -10,9 +10,9 @@ from episodes import gentle
 from states import counters, outcome
 
 from formation_env import Limits, Vehicle, configure, trajectories
-from formation_env.arrays import by_world
-from formation_env.quadrotor import GRAVITY
-from formation_env.simulation import Simulation
+from formation_env.core.arrays import by_world
+from formation_env.core.simulation import Simulation
+from formation_env.physics.quadrotor import GRAVITY
 
 HOVER = trajectories.hover()
 STILL: dict[str, Any] = {"trajectory": HOVER, "start_offset": 0.0}

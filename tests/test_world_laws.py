@@ -21,14 +21,17 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from formation_env import Vehicle, configure, levels, quadrotor, sensors, so3, tracker, world
-from formation_env.levels import Guide
-from formation_env.quadrotor import GRAVITY, MOMENT, RATES, Body, Wrench
-from formation_env.sensors import Measured
-from formation_env.slots import Slot
-from formation_env.so3 import Quaternion, Vector
+from formation_env import Vehicle, configure
+from formation_env.laws import levels, tracker, world
+from formation_env.laws.levels import Guide
+from formation_env.laws.slots import Slot
+from formation_env.laws.world import Clock, Reach, World
+from formation_env.maths import so3
+from formation_env.maths.so3 import Quaternion, Vector
+from formation_env.physics import quadrotor, sensors
+from formation_env.physics.quadrotor import GRAVITY, MOMENT, RATES, Body, Wrench
+from formation_env.physics.sensors import Measured
 from formation_env.trajectories import TrajectoryPoint
-from formation_env.world import Clock, Reach, World
 
 # No two numbers alike and none special, so that none can stand for another.
 FRAME = Vehicle(mass=0.13, inertia=(1.1e-3, 0.9e-3, 1.7e-3), rate_lag=0.07).airframe()

@@ -11,7 +11,7 @@ import torch
 
 from baselines.system.reading import require_regular
 from baselines.system.writing import write_bytes
-from formation_env.checks import integer, number, require, shown
+from formation_env.validation.checks import integer, number, require, shown
 from train.checkpoint_contents import Arrays, adam_moments, array_like, fact
 
 VERSION = 1

@@ -16,7 +16,15 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 import numpy as np
 from numpy.typing import NDArray
 
-from formation_env.checks import boolean, choice, integer, number, refuse_where, require, shown
+from formation_env.validation.checks import (
+    boolean,
+    choice,
+    integer,
+    number,
+    refuse_where,
+    require,
+    shown,
+)
 from train.command_line import flag
 from train.log import LogRow, RunRecord
 from train.options import PPOOptions, defaults

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from formation_env import SCENARIOS, FormationConfig, configure
-from formation_env.levels import LEVELS
+from formation_env.laws.levels import LEVELS
 from train.command_line import flag, refuse
 
 Ranges = Mapping[str, tuple[float, float]]  # least and largest value of an option, by name

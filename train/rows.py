@@ -10,9 +10,9 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from formation_env import faces
-from formation_env.results import Results
-from formation_env.simulation import Simulation, seeded_key
+from formation_env.core.results import Results
+from formation_env.core.simulation import Simulation, seeded_key
+from formation_env.interface import faces
 from formation_env.task import COLUMNS, REWARD
 
 Mask = NDArray[np.bool_]

@@ -14,11 +14,12 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 
 from baselines.policies.actions import corrected
 from baselines.policies.expert import Expert
-from formation_env import FormationConfig, faces
-from formation_env.arguments import Fixed, check_options, configured, whole_seed
-from formation_env.checks import boolean, choice, integer, number, refuse
-from formation_env.results import Results
-from formation_env.simulation import Snapshot
+from formation_env import FormationConfig
+from formation_env.core.results import Results
+from formation_env.core.simulation import Snapshot
+from formation_env.interface import faces
+from formation_env.interface.arguments import Fixed, check_options, configured, whole_seed
+from formation_env.validation.checks import boolean, choice, integer, number, refuse
 from formation_env.vector import MOST_WORLDS, FormationVectorEnv
 from train.rows import EarlyEnds, central_state, follower_rewards
 

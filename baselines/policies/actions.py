@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formation_env._jit import device
-from formation_env.elementary import pick
+from formation_env.maths.elementary import pick
 
 Rows = NDArray[np.float32]
 

@@ -39,8 +39,8 @@ from numpy.typing import NDArray
 from baselines.policies.new_episodes import DOUBTFUL, NEW, Watch
 from baselines.policies.observations import Rows, observed
 from formation_env import FormationConfig
-from formation_env.checks import integer, refuse, require
-from formation_env.warning import warn_user
+from formation_env.validation.checks import integer, refuse, require
+from formation_env.validation.warning import warn_user
 
 __all__ = ["EpisodeWarning", "Policy", "Rows"]
 

@@ -35,16 +35,25 @@ from baselines.policies.expert_lanes import (
 )
 from formation_env import FormationConfig
 from formation_env._jit import device, kernel
-from formation_env.arrays import tiles
-from formation_env.checks import boolean, choice, refuse
-from formation_env.planner import PlannerLaw, Virtual, errors, plane
-from formation_env.quadrotor import MOMENT
-from formation_env.records import LANES, at, fields, flatten, line_loader, line_storer, size, slices
-from formation_env.references import TrajectoryPoint
-from formation_env.shuffles import carve
-from formation_env.so3 import Vector
-from formation_env.tracker import errors as tracker_errors
-from formation_env.world import World
+from formation_env.core.arrays import tiles
+from formation_env.laws.planner import PlannerLaw, Virtual, errors, plane
+from formation_env.laws.tracker import errors as tracker_errors
+from formation_env.laws.world import World
+from formation_env.maths.so3 import Vector
+from formation_env.memory.records import (
+    LANES,
+    at,
+    fields,
+    flatten,
+    line_loader,
+    line_storer,
+    size,
+    slices,
+)
+from formation_env.memory.shuffles import carve
+from formation_env.paths.references import TrajectoryPoint
+from formation_env.physics.quadrotor import MOMENT
+from formation_env.validation.checks import boolean, choice, refuse
 
 Floats = NDArray[np.float64]
 

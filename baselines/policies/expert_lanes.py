@@ -1,6 +1,6 @@
 """The expert's decision for a tile of followers, side by side in vector code.
 
-As `formation_env.flight` does it for worlds: the mathematics is that of `planner`, `feedforward` and
+As `formation_env.core.flight` does it for worlds: the mathematics is that of `planner`, `feedforward` and
 `tracker`, inlined, in loops over the `LANES` followers of a tile; nothing in them is called or
 branches. A tile holds number after number, each in all lanes, whatever worlds the followers are in.
 """
@@ -15,19 +15,28 @@ from numpy.typing import NDArray
 from baselines.policies.actions import clipped_or_zero
 from baselines.policies.base import Rows
 from formation_env._jit import device, kernel, loop
-from formation_env.elementary import phase, pick
-from formation_env.feedforward import full_trajectory_point
-from formation_env.levels import REFERENCE, Guide, acceleration_action, wrench_action
-from formation_env.planner import PlannerLaw, Virtual, advance, place, scaled, trajectory_point
-from formation_env.quadrotor import MOMENT, RATES
-from formation_env.records import LANES, define, keeper, line_loader, loader, parts, size, storer
-from formation_env.references import TrajectoryPoint
-from formation_env.shuffles import carve, gather, reinterpret
-from formation_env.slots import in_frame, out_of_frame
-from formation_env.so3 import ZERO, Vector, add, cross, pick_vector, scale, sub
+from formation_env.laws.feedforward import full_trajectory_point
+from formation_env.laws.levels import REFERENCE, Guide, acceleration_action, wrench_action
+from formation_env.laws.planner import PlannerLaw, Virtual, advance, place, scaled, trajectory_point
+from formation_env.laws.slots import in_frame, out_of_frame
+from formation_env.laws.tracker import Motion
+from formation_env.laws.world import Action, Reach, World, track
+from formation_env.maths.elementary import phase, pick
+from formation_env.maths.so3 import ZERO, Vector, add, cross, pick_vector, scale, sub
+from formation_env.memory.records import (
+    LANES,
+    define,
+    keeper,
+    line_loader,
+    loader,
+    parts,
+    size,
+    storer,
+)
+from formation_env.memory.shuffles import carve, gather, reinterpret
+from formation_env.paths.references import TrajectoryPoint
+from formation_env.physics.quadrotor import MOMENT, RATES
 from formation_env.task import Observation
-from formation_env.tracker import Motion
-from formation_env.world import Action, Reach, World, track
 
 Floats = NDArray[np.float64]
 

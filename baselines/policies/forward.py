@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formation_env._jit import kernel, loop
-from formation_env.shuffles import carve
+from formation_env.memory.shuffles import carve
 
 Singles = NDArray[np.float32]
 

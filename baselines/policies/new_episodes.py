@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 
 from formation_env import FormationConfig
 from formation_env._jit import device, kernel
-from formation_env.quadrotor import GRAVITY
-from formation_env.records import at, line_loader, size
-from formation_env.slots import out_of_frame
-from formation_env.so3 import Vector, sub
+from formation_env.laws.slots import out_of_frame
+from formation_env.maths.so3 import Vector, sub
+from formation_env.memory.records import at, line_loader, size
+from formation_env.physics.quadrotor import GRAVITY
 from formation_env.task import ANYWHERE, RATE_BOUND, Observation
 
 Rows = NDArray[np.float32]

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from formation_env import FormationConfig
 from formation_env._jit import kernel
-from formation_env.checks import refuse
-from formation_env.records import size
+from formation_env.memory.records import size
 from formation_env.task import NEIGHBOUR_ENTRIES, Layout, Neighbour
+from formation_env.validation.checks import refuse
 
 Rows = NDArray[np.float32]
 

@@ -11,9 +11,9 @@ from baselines.policies.actions import clipped
 from baselines.policies.base import Policy, Rows
 from formation_env import FormationConfig
 from formation_env._jit import kernel, plain
-from formation_env.levels import acceleration_action, wrench_action
-from formation_env.quadrotor import GRAVITY, MOMENT, Wrench
-from formation_env.rng import POLICY, uniforms
+from formation_env.laws.levels import acceleration_action, wrench_action
+from formation_env.maths.rng import POLICY, uniforms
+from formation_env.physics.quadrotor import GRAVITY, MOMENT, Wrench
 
 Floats = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from functools import lru_cache
 
 from baselines.files import Card
 from formation_env import SCENARIOS, FormationConfig, configure
-from formation_env.checks import shown
-from formation_env.warning import warn_user
+from formation_env.validation.checks import shown
+from formation_env.validation.warning import warn_user
 
 # How an episode begins, how long it lasts and what it is worth: training may choose those freely.
 _FREE = (

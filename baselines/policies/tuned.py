@@ -23,10 +23,10 @@ from baselines.policies.base import Policy, Rows
 from baselines.policies.expert import Expert
 from baselines.system.reading import file_name, read_bytes
 from formation_env import FormationConfig, configure
-from formation_env.checks import choice, refuse, require, shown
-from formation_env.gains import PlannerGains, TrackerGains
-from formation_env.levels import NAMES as LEVELS
-from formation_env.warning import warn_user
+from formation_env.laws.gains import PlannerGains, TrackerGains
+from formation_env.laws.levels import NAMES as LEVELS
+from formation_env.validation.checks import choice, refuse, require, shown
+from formation_env.validation.warning import warn_user
 
 GAINS = Path(__file__).parent.parent / "tuned_gains.json"
 VERSION = 1  # of the file's format

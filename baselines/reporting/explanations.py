@@ -9,7 +9,7 @@ import numpy as np
 
 from baselines.scoring.results import Report, Result, above_expert
 from formation_env import FormationConfig
-from formation_env.quadrotor import RATES
+from formation_env.physics.quadrotor import RATES
 
 Reason = Callable[[Result, Result], bool]  # of a policy's result and the expert's
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from baselines.reproduction.claims import SILENT, SOUND, Claim
 from baselines.reproduction.continuous import OFFSETS, Flight, Planar, planar
-from formation_env.feasibility import equilibrium
-from formation_env.references import Floats
+from formation_env.laws.feasibility import equilibrium
+from formation_env.paths.references import Floats
 from formation_env.trajectories import circle
 
 CONVERGED = 0.05  # of an error's largest value

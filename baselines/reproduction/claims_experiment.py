@@ -9,7 +9,7 @@ from scipy.signal import welch
 from baselines.reproduction.claims import SILENT, SOUND, Claim
 from baselines.reproduction.sampled import Run
 from baselines.reproduction.statistics import per_world, rms, spread
-from formation_env.references import Floats
+from formation_env.paths.references import Floats
 
 SLOW, FAST = 0.1, 0.5  # Hz: below the first is slow, above the second is fast
 _SIZE = 0.353  # m, length of section IV's vehicles

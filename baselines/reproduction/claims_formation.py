@@ -14,7 +14,7 @@ from baselines.reproduction.claims import SILENT, SOUND, Claim
 from baselines.reproduction.sampled import AFTER_TRIGGER, TRANSIENT, Run
 from baselines.reproduction.statistics import per_world, rms, spread
 from formation_env import FormationConfig
-from formation_env.references import Floats
+from formation_env.paths.references import Floats
 
 LEADER_FOLLOWER, FOLLOWER_FOLLOWER = 0.1, 0.15  # m, figure 9
 

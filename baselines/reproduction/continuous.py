@@ -17,18 +17,18 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from formation_env._jit import device, kernel
-from formation_env.gains import PlannerGains, TrackerGains
-from formation_env.planner import PlanarErrors, PlannerLaw, Virtual, plane
-from formation_env.planner import derivative as planner_derivative
-from formation_env.planner import errors as planner_errors
-from formation_env.quadrotor import MOMENT, Airframe, Body, Wrench, moment
-from formation_env.quadrotor import derivative as body_derivative
-from formation_env.records import flatten, line_loader, line_storer, size, slices
-from formation_env.references import Floats, TrajectoryPoint, evaluate
-from formation_env.so3 import ZERO, Vector, dot, normalise, rotation
-from formation_env.tracker import Motion, TrackerLaw, certificate, pointing, torque
-from formation_env.tracker import errors as tracker_errors
-from formation_env.tracker import outer as tracker_outer
+from formation_env.laws.gains import PlannerGains, TrackerGains
+from formation_env.laws.planner import PlanarErrors, PlannerLaw, Virtual, plane
+from formation_env.laws.planner import derivative as planner_derivative
+from formation_env.laws.planner import errors as planner_errors
+from formation_env.laws.tracker import Motion, TrackerLaw, certificate, pointing, torque
+from formation_env.laws.tracker import errors as tracker_errors
+from formation_env.laws.tracker import outer as tracker_outer
+from formation_env.maths.so3 import ZERO, Vector, dot, normalise, rotation
+from formation_env.memory.records import flatten, line_loader, line_storer, size, slices
+from formation_env.paths.references import Floats, TrajectoryPoint, evaluate
+from formation_env.physics.quadrotor import MOMENT, Airframe, Body, Wrench, moment
+from formation_env.physics.quadrotor import derivative as body_derivative
 from formation_env.trajectories import Trajectory, figure_eight
 
 TOLERANCE = 1e-9

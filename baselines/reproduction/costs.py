@@ -29,17 +29,17 @@ from baselines.reproduction.continuous import (
 )
 from formation_env._jit import device, kernel
 from formation_env.config import NO_NOISE
-from formation_env.feedforward import full_trajectory_point
-from formation_env.planner import PlannerLaw, Virtual, place, plane
-from formation_env.planner import derivative as planner_derivative
-from formation_env.planner import trajectory_point as planner_trajectory_point
-from formation_env.quadrotor import Airframe, Body
-from formation_env.records import line_loader, line_storer, size
-from formation_env.references import Floats, TrajectoryPoint, evaluate
+from formation_env.laws.feedforward import full_trajectory_point
+from formation_env.laws.planner import PlannerLaw, Virtual, place, plane
+from formation_env.laws.planner import derivative as planner_derivative
+from formation_env.laws.planner import trajectory_point as planner_trajectory_point
+from formation_env.laws.tracker import TrackerLaw
+from formation_env.laws.world import World, trimmed
+from formation_env.maths.so3 import ZERO, Vector
+from formation_env.memory.records import line_loader, line_storer, size
+from formation_env.paths.references import Floats, TrajectoryPoint, evaluate
+from formation_env.physics.quadrotor import Airframe, Body
 from formation_env.scenarios import configure
-from formation_env.so3 import ZERO, Vector
-from formation_env.tracker import TrackerLaw
-from formation_env.world import World, trimmed
 
 ZERO_FED, DERIVED, EXACT = 0, 1, 2
 _NAMES = ("zero", "derived", "derived, leader's exact")

@@ -17,12 +17,12 @@ from baselines.policies.expert import Expert
 from baselines.reproduction.continuous import fields_of, vector
 from formation_env import FormationConfig
 from formation_env._jit import kernel
-from formation_env.planner import PlanarErrors, PlannerLaw, Virtual, plane
-from formation_env.planner import errors as planner_errors
-from formation_env.records import line_storer, size
-from formation_env.references import Floats
+from formation_env.core.simulation import Simulation, seeded_key
+from formation_env.laws.planner import PlanarErrors, PlannerLaw, Virtual, plane
+from formation_env.laws.planner import errors as planner_errors
+from formation_env.memory.records import line_storer, size
+from formation_env.paths.references import Floats
 from formation_env.scenarios import configure
-from formation_env.simulation import Simulation, seeded_key
 
 AFTER_TRIGGER = 80.0  # s, what the figures show once the trigger (40) has fired
 TRANSIENT = 15.0  # s after the trigger, not part of the steady state

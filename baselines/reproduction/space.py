@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 
 from baselines.reproduction.continuous import Flight
 from baselines.reproduction.style import AXES, FOLLOWERS, LEADER, REFERENCE
-from formation_env.references import Floats
-from formation_env.so3 import rotation
+from formation_env.maths.so3 import rotation
+from formation_env.paths.references import Floats
 
 SNAPSHOTS = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)  # s
 _ARM = 1.1  # m, drawn length of a body axis

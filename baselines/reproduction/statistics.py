@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.reproduction.sampled import Run
-from formation_env.references import Floats
+from formation_env.paths.references import Floats
 
 
 def rms(x: Floats) -> float:

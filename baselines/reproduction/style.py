@@ -10,7 +10,7 @@ from typing import Any
 import matplotlib
 from matplotlib.figure import Figure
 
-from formation_env.references import Floats
+from formation_env.paths.references import Floats
 
 # Colours that stay apart for colour-blind readers (Okabe and Ito).
 LEADER, REFERENCE = "#222222", "#9a9a9a"

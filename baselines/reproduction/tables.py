@@ -10,7 +10,7 @@ import numpy as np
 from baselines.reproduction.continuous import Flight, Planar
 from baselines.reproduction.sampled import Run
 from baselines.system.writing import write_text
-from formation_env.references import Floats
+from formation_env.paths.references import Floats
 
 _XYZ = ("x", "y", "z")
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from formation_env import FormationConfig
 from formation_env._jit import device, kernel
-from formation_env.so3 import Vector, dot, sub
+from formation_env.maths.so3 import Vector, dot, sub
 from formation_env.task import COLUMNS, FAILED, FAILURES, SEPARATION, distance
 
 Floats = NDArray[np.float64]

@@ -12,8 +12,8 @@ from baselines.scoring import tasks
 from baselines.scoring.evaluation import EPISODES
 from baselines.system.arguments import Parser, reader, seconds, whole
 from formation_env import SCENARIOS
-from formation_env.checks import shown
-from formation_env.levels import NAMES as LEVELS
+from formation_env.laws.levels import NAMES as LEVELS
+from formation_env.validation.checks import shown
 
 
 def _scenarios(text: str) -> list[str]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from baselines.policies.base import Policy
 from baselines.scoring.metrics import add_tick, begin, episodes
-from formation_env.simulation import Simulation, seeded_key
+from formation_env.core.simulation import Simulation, seeded_key
 
 Episodes = dict[str, NDArray[np.float64]]
 

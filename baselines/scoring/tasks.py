@@ -20,9 +20,9 @@ import numpy as np
 
 from baselines.system.reading import read_json
 from formation_env import SCENARIOS, FormationConfig, configure
-from formation_env.checks import shown
-from formation_env.levels import NAMES as LEVELS
+from formation_env.laws.levels import NAMES as LEVELS
 from formation_env.trajectories import Trajectory
+from formation_env.validation.checks import shown
 
 MOST = 1000  # tasks
 

@@ -9,7 +9,7 @@ from math import isfinite
 from typing import NoReturn, TypeVar, final
 
 from baselines.system.console import say, width
-from formation_env.checks import shown
+from formation_env.validation.checks import shown
 
 T = TypeVar("T")
 

@@ -8,7 +8,7 @@ import os
 import stat
 from typing import Any, NoReturn
 
-from formation_env.checks import require
+from formation_env.validation.checks import require
 
 LARGEST = 64 * 2**20  # bytes
 

@@ -15,10 +15,10 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
-from formation_env.checks import choice, integer, number, require
-from formation_env.references import Floats
+from formation_env.paths.references import Floats
 from formation_env.rendering.camera import Follow
 from formation_env.rendering.scene import Scene
+from formation_env.validation.checks import choice, integer, number, require
 
 __all__ = ["Memory", "Renderer", "Scene"]
 

@@ -12,7 +12,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from formation_env.references import Floats
+from formation_env.paths.references import Floats
 
 AZIMUTH = radians(32.0)  # of the view, from north towards east
 ELEVATION = radians(25.0)  # of the camera above the formation; half the field of view and more, so

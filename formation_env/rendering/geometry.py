@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from formation_env.references import Floats
-from formation_env.so3 import rotation
+from formation_env.maths.so3 import rotation
+from formation_env.paths.references import Floats
 
 ARM = 0.14  # m, from the middle of a quadrotor to a rotor's hub
 HUBS = np.array([[1.0, 1.0, -0.08], [1.0, -1.0, -0.08], [-1.0, -1.0, -0.08], [-1.0, 1.0, -0.08]])

@@ -11,7 +11,7 @@ from typing import final
 import numpy as np
 import pygame
 
-from formation_env.references import Floats
+from formation_env.paths.references import Floats
 from formation_env.rendering import style
 from formation_env.rendering.camera import Camera
 from formation_env.rendering.geometry import grid_spacing

@@ -14,7 +14,7 @@ import numpy as np
 import pygame
 from pygame import gfxdraw
 
-from formation_env.references import Floats
+from formation_env.paths.references import Floats
 from formation_env.rendering import style
 from formation_env.rendering.camera import NEAR, Camera, project
 from formation_env.rendering.geometry import (

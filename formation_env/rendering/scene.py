@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from formation_env.references import Floats
+from formation_env.paths.references import Floats
 
 
 class Scene(NamedTuple):

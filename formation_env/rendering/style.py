@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from formation_env.references import Floats
+from formation_env.paths.references import Floats
 
 Colour = tuple[int, int, int]
 

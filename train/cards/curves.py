@@ -16,7 +16,7 @@ import numpy as np
 
 from baselines.registry import METHODS
 from formation_env import SCENARIOS
-from formation_env.levels import NAMES as LEVELS
+from formation_env.laws.levels import NAMES as LEVELS
 from train.log import HEADER, LogRow
 
 LARGEST_COUNT = 60  # of rows in a curve

@@ -12,7 +12,7 @@ from baselines.files import Card, Network
 from baselines.policies.tuned import GAINS, read
 from baselines.registry import USUAL
 from formation_env import SCENARIOS
-from formation_env.levels import NAMES as LEVELS
+from formation_env.laws.levels import NAMES as LEVELS
 from train.cards.curves import Curve, Key, order, read_curve
 from train.cards.pictures import picture_name
 from train.cards.shipping import (

@@ -20,7 +20,7 @@ from baselines.scoring.intervals import Estimate
 from baselines.scoring.results import Result
 from baselines.system.writing import write_text
 from formation_env import SCENARIOS, FeasibilityWarning, FormationConfig, configure, formations
-from formation_env.levels import NAMES as LEVELS
+from formation_env.laws.levels import NAMES as LEVELS
 from train.cards.curves import Curve, Key, read_log, thinned, to_text
 
 # Where things lie in a checkout.

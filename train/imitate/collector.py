@@ -11,7 +11,7 @@ from baselines.policies.actions import clipped, corrected, correction_towards
 from baselines.policies.base import Policy
 from baselines.policies.expert import Expert
 from formation_env import FormationConfig
-from formation_env.simulation import Simulation
+from formation_env.core.simulation import Simulation
 from train.imitate.buffer import Rows, SampleBuffer
 from train.imitate.clone import Clone
 from train.rows import EarlyEnds, seed_worlds

@@ -16,7 +16,7 @@ from baselines import files
 from baselines.files import Card, Network
 from baselines.system.progress import compiling
 from baselines.system.writing import Claim
-from formation_env.checks import integer, number
+from formation_env.validation.checks import integer, number
 from train import checkpoint
 from train.checkpoint_contents import Arrays, array_like, arrays_like, fact, run_record
 from train.evaluation import Evaluator

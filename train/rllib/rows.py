@@ -15,9 +15,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from formation_env import FormationConfig, faces
-from formation_env.results import Results
-from formation_env.simulation import Simulation
+from formation_env import FormationConfig
+from formation_env.core.results import Results
+from formation_env.core.simulation import Simulation
+from formation_env.interface import faces
 from train.rows import EarlyEnds, central_state, follower_rewards, seed_worlds
 from train.seeds import first_training_seed
 

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from baselines.policies.tuned import Gains, own, tracker_field
 from formation_env import FormationConfig
-from formation_env.gains import PlannerGains, TrackerGains
-from formation_env.quadrotor import GRAVITY
+from formation_env.laws.gains import PlannerGains, TrackerGains
+from formation_env.physics.quadrotor import GRAVITY
 
 REACH = 4.0  # how far a point may be from the own gains, either way: factors of about 55
 

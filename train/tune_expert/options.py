@@ -9,7 +9,7 @@ from typing import final
 
 from baselines.policies.tuned import FEEDFORWARDS
 from formation_env import FormationConfig, configure
-from formation_env.checks import integer, number, require
+from formation_env.validation.checks import integer, number, require
 from train.options import defaults, repeating_command
 from train.seeds import MOST_TUNING_EPISODES
 

@@ -1,0 +1,1 @@
+"""Parts of a configuration from what a user writes, and conditions that join several of its fields."""

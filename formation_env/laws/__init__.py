@@ -1,0 +1,1 @@
+"""The paper's laws and conditions: planner, tracker, slots, gains, feasibility; and the action levels."""

@@ -1,0 +1,1 @@
+"""Vectors and rotations, elementary functions, the Runge-Kutta step and random numbers."""

@@ -1,0 +1,1 @@
+"""Trajectories of the leader: derivatives in kernels, tables, random ones, and the object."""

@@ -1,0 +1,120 @@
+"""What pushes a vehicle from outside: a table of disturbances, and their sum.
+
+A disturbance is an acceleration held during a tick. It has parameters, which follow from the configuration,
+a state per vehicle that is zero at the start of an episode, a law that moves the state on at the begin of
+each tick and one that says how hard it then pushes. As the push is held, the bound that the floor's test
+asks for (`turning.stays_up`) is its own size: a new row of the table needs nothing more.
+"""
+
+from __future__ import annotations
+
+from math import exp, sqrt
+from typing import Any, NamedTuple
+
+from formation_env._jit import device
+from formation_env.maths.rng import GUST, normals
+from formation_env.maths.so3 import Vector, add
+from formation_env.memory.records import define, part_loader
+from formation_env.physics.quadrotor import Body
+
+
+class Gusts(NamedTuple):
+    """A random acceleration: a first-order Gauss-Markov process per vehicle and axis."""
+
+    keep: float  # share kept from one tick to the next, exp(-period / correlation time)
+    kick: float  # m/s^2, standard deviation of what is added
+
+
+class Gust(NamedTuple):
+    """The gust on one vehicle, held during a tick."""
+
+    a: Vector  # m/s^2, inertial
+
+
+@device
+def blows(gusts: Gusts) -> bool:
+    """Whether there are gusts at all."""
+    return gusts.kick != 0.0
+
+
+@device
+def next_gust(before: Gust, body: Body, gusts: Gusts, key: int, who: int, tick: int) -> Gust:
+    """The next sample of the gust on vehicle `who`: independent of all others, stationary after its start."""
+    n = normals(key, GUST, who, tick, 0)
+    a = before.a
+    return Gust(
+        (
+            gusts.keep * a[0] + gusts.kick * n[0],
+            gusts.keep * a[1] + gusts.kick * n[1],
+            gusts.keep * a[2] + gusts.kick * n[2],
+        )
+    )
+
+
+@device
+def gust_push(gust: Gust, body: Body, gusts: Gusts) -> Vector:
+    """The acceleration by a gust, m/s^2, inertial."""
+    return gust.a
+
+
+def gusts_of(config: Any) -> Gusts:
+    """The gusts of a configuration: `gust` is the standard deviation, whatever the control period."""
+    keep = exp(-config.control_period / config.gust_time)
+    return Gusts(keep, config.gust * sqrt(1.0 - keep * keep))
+
+
+class Disturbance(NamedTuple):
+    """A row of the table."""
+
+    name: str
+    parameters: Any  # a record
+    of: Any  # (configuration): its parameters
+    state: Any  # a record, all zero at the start of an episode
+    acts: Any  # (parameters): whether it does anything in this world
+    advance: Any  # (state, body, parameters, key, vehicle, tick): the state in this tick
+    push: Any  # (state, body, parameters): acceleration during this tick, m/s^2, inertial
+
+
+DISTURBANCES = (Disturbance("gusts", Gusts, gusts_of, Gust, blows, next_gust, gust_push),)
+
+# The parameters of all of them, a field of `world.World`, and their states on one vehicle.
+Parameters: Any = NamedTuple("Parameters", [(one.name, one.parameters) for one in DISTURBANCES])  # type: ignore[misc]
+States: Any = NamedTuple("States", [(one.name, one.state) for one in DISTURBANCES])  # type: ignore[misc]
+
+
+def parameters(config: Any) -> Any:
+    """The `Parameters` of a configuration."""
+    return Parameters(*(one.of(config) for one in DISTURBANCES))
+
+
+def over_table(world: Any, name: str, arguments: str, term: str, whole: str) -> Any:
+    """A compiled function `name(arguments)` of every row of the table, in order.
+
+    `term` is the expression for a row, with `parameters` read from `line`, the numbers of a record of type
+    `world` that has `disturbances`, `state` that of `states`, and the row's own `acts`, `advance` and `push`.
+    `whole` joins them: a class that takes them all, or a function of two.
+    """
+    names: dict[str, Any] = {"States": States, "add": add, "either": _either}
+    names["read"] = part_loader(world, "disturbances")
+    terms = []
+    for one in DISTURBANCES:
+        own = {"acts": one.acts, "advance": one.advance, "push": one.push}
+        names |= {f"{one.name}_{verb}": law for verb, law in own.items()}
+        text = term.replace("parameters", f"read(line).{one.name}")
+        text = text.replace("state,", f"states.{one.name},")
+        for verb in own:
+            text = text.replace(f"{verb}(", f"{one.name}_{verb}(")
+        terms.append(text)
+    if whole == "States":
+        joined = f"States({', '.join(terms)})"
+    else:
+        joined = terms[0]
+        for other in terms[1:]:
+            joined = f"{whole}({joined}, {other})"
+    source = f"def {name}({arguments}):\n    return {joined}\n"
+    return device(define(name, source, names))
+
+
+@device
+def _either(a: bool, b: bool) -> bool:
+    return a or b
