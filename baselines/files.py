@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from baselines.system.reading import file_name, read_bytes
 from baselines.system.writing import write_bytes
 from formation_env.laws import levels
-from formation_env.laws.levels import NAMES as LEVELS
+from formation_env.laws.levels import NAMES as LEVEL_NAMES
 from formation_env.task import Layout
 from formation_env.validation.checks import require, shortened, shown
 
@@ -87,7 +87,7 @@ class Card:
         _require(same, "version", self.version, str(VERSION))
         fits = type(self.layout) is int and self.layout == Layout.version
         _require(fits, "layout", self.layout, f"{Layout.version}, of this package")
-        for name, known in (("action", LEVELS), ("activation", ACTIVATIONS)):
+        for name, known in (("action", LEVEL_NAMES), ("activation", ACTIVATIONS)):
             value = getattr(self, name)
             good = isinstance(value, str) and value in known
             _require(good, name, value, f"one of {', '.join(known)}")

@@ -27,7 +27,7 @@ from baselines.system import console
 from baselines.system.arguments import Parser, above_zero, whole
 from benchmarks import grid, report, single, startup
 from formation_env.formations import MAX_FOLLOWERS
-from formation_env.laws.levels import NAMES as LEVELS
+from formation_env.laws.levels import NAMES as LEVEL_NAMES
 
 Figures = dict[str, Any]
 Say = Callable[[str], None]
@@ -64,7 +64,7 @@ def _names(allowed: Sequence[str]) -> Callable[[str], list[str]]:
 FULL: dict[str, Any] = {
     "worlds": [1, 16, 256, 4096, 65536],
     "followers": [2, 16, 256],
-    "actions": list(LEVELS),
+    "actions": list(LEVEL_NAMES),
     "rounds": 7,
     "seconds": 0.05,
     "peers": True,
@@ -120,7 +120,7 @@ def _add_points(own: Parser) -> None:
     add("--scenarios", type=_names(("nominal", "paper")), default=["nominal", "paper"],
         metavar="NAMES",
         help="Scenarios to time, separated by commas. (default: nominal,paper)")  # fmt: skip
-    add("--actions", type=_names(tuple(LEVELS)), metavar="NAMES",
+    add("--actions", type=_names(tuple(LEVEL_NAMES)), metavar="NAMES",
         help="Action levels, separated by commas; all but the first are timed at the first number of "
         f"followers only. {_default('actions')}")  # fmt: skip
     add("--peers", action=argparse.BooleanOptionalAction,

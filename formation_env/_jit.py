@@ -42,12 +42,13 @@ def _source_stamp(folder: Path) -> str | None:
     package = Path(__file__).parent
     if package in folder.parents:
         return _source_stamp(package)
-    digest = hashlib.sha256()
-    for sources in (sorted(package.rglob("*.py")), sorted(folder.glob("*.py"))):
-        if not sources:  # in an archive, or compiled files alone
-            return None
-        for path in sources:
-            digest.update(path.read_bytes())
+    whole = "" if folder == package else _source_stamp(package)
+    sources = sorted(package.rglob("*.py") if folder == package else folder.glob("*.py"))
+    if not sources or whole is None:  # in an archive, or compiled files alone
+        return None
+    digest = hashlib.sha256(whole.encode())
+    for path in sources:
+        digest.update(path.read_bytes())
     return digest.hexdigest()
 
 
@@ -73,19 +74,28 @@ def _called_by_kernels(
     itself, so that branches on it are gone before anything is optimised.
     """
     options = {"fastmath": FASTMATH, "error_model": "numpy", **options}
-    called: Any = njit(**options)(function)
-    if hasattr(called, "get_call_template"):
-        bare = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": compiler}
-        linked: Any = njit(**bare, **options)(function)
-        for one in (called, linked) if apart else ():
+
+    def made(**more: Any) -> Any:
+        one: Any = njit(**options, **more)(function)
+        if apart and hasattr(one, "_compiler"):
             # A flag of Numba's compiler that `njit` does not hand on.
             one._compiler._customize_flags = _apart
-        called.get_call_template = linked.get_call_template
-        if not literal:
-            called.get_call_template = lambda args, kws: linked.get_call_template(
-                tuple(_types.unliteral(one) for one in args), kws
-            )
-        called.get_overload = linked.get_overload
+        return one
+
+    @cache
+    def linked() -> Any:
+        """Made when a kernel is compiled: those from the cache need none."""
+        return made(no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=compiler)
+
+    def template(args: Any, kws: Any) -> Any:
+        given = args if literal else tuple(_types.unliteral(one) for one in args)
+        return linked().get_call_template(given, kws)
+
+    called = made()
+    if hasattr(called, "get_call_template"):
+        called.get_call_template = template
+        called.get_overload = lambda signature: linked().get_overload(signature)
+        called.linked = linked
     return called  # type: ignore[no-any-return]
 
 
@@ -143,9 +153,7 @@ def loop(function: F) -> F:
     What it writes in an array must not be read through another one: else it would compare all addresses in
     each call, and keep a scalar loop beside the vector one.
     """
-    return _called_by_kernels(
-        function, apart=True, compiler=LinkedCompiler, nogil=True, forceinline=True
-    )
+    return _called_by_kernels(function, apart=True, nogil=True, forceinline=True)
 
 
 def kernel(function: F) -> F:

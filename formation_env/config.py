@@ -82,7 +82,7 @@ _COUNTS = {
 @final
 @dataclass(frozen=True)
 class FormationConfig:
-    """One task: who flies where, what is measured, what is commanded, what it is worth.
+    """One task: what flies where, what is measured, what is commanded, what it is worth.
 
     Lengths in metres, times in seconds, angles in radians, inertial frame north-east-down. Made by
     `configure` (or `gym.make`'s keywords), which starts from a scenario. Raises `ValueError` naming

@@ -156,15 +156,15 @@ def two(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr(disturbances, "States", states)
     monkeypatch.setattr(disturbances, "device", lambda function: function)
     arguments = "states, body, line"
-    acts = over_table(Place, "acting", "line", "acts(parameters)", "either")
+    acts = over_table(Place, "acting", "line", "{acts}({parameters})", "either")
     advance = over_table(
         Place,
         "advanced",
         f"{arguments}, key, who, tick",
-        "advance(state, body, parameters, key, who, tick)",
+        "{advance}({state}, body, {parameters}, key, who, tick)",
         "States",
     )
-    push = over_table(Place, "summed", arguments, "push(state, body, parameters)", "add")
+    push = over_table(Place, "summed", arguments, "{push}({state}, body, {parameters})", "add")
     return states, acts, advance, push
 
 

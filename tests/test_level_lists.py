@@ -19,7 +19,9 @@ from train import options as training
 
 def test_what_lists_the_levels_has_those_of_the_table() -> None:
     assert tuple(configuration._CHOICES["action"]) == NAMES
-    assert tuple(files.LEVELS) == tuple(tuned.LEVELS) == tuple(scoring.LEVELS) == NAMES
+    assert (
+        tuple(files.LEVEL_NAMES) == tuple(tuned.LEVEL_NAMES) == tuple(scoring.LEVEL_NAMES) == NAMES
+    )
     assert {level.name: level.exploration for level in LEVELS} == training.STD
     (option,) = (
         one for one in get_args(get_type_hints(training.RunOptions)["action"]) if get_args(one)

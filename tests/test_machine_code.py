@@ -31,17 +31,16 @@ from formation_env.memory import tiles
 loops = {id(one.run): (f"{one.law.__module__}.{one.name}", one.run) for one in tiles.LOOPS}
 for found in pkgutil.walk_packages(formation_env.__path__, "formation_env."):
     for name, one in vars(importlib.import_module(found.name)).items():
-        linked = getattr(getattr(one, "get_overload", None), "__self__", one)
-        if linked is not one and linked.targetoptions.get("nogil"):
+        if hasattr(one, "linked") and one.targetoptions.get("nogil"):
             loops.setdefault(id(one), (f"{one.__module__}.{name}", one))
 
 from formation_env.core.simulation import Simulation
 Simulation(formation_env.configure("nominal")).reset()
 for name, run in loops.values():
-    for signature in list(run.get_overload.__self__.overloads):
+    for signature in list(run.linked().overloads):
         run.compile(signature)
         print(json.dumps([name, str(signature), run.inspect_asm(signature)]), flush=True)
-    if not run.get_overload.__self__.overloads:
+    if not run.linked().overloads:
         print(json.dumps([name, "", ""]), flush=True)
 """
 

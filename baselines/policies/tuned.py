@@ -24,7 +24,7 @@ from baselines.policies.expert import Expert
 from baselines.system.reading import file_name, read_bytes
 from formation_env import FormationConfig, configure
 from formation_env.laws.gains import PlannerGains, TrackerGains
-from formation_env.laws.levels import NAMES as LEVELS
+from formation_env.laws.levels import NAMES as LEVEL_NAMES
 from formation_env.validation.checks import choice, refuse, require, shown
 from formation_env.validation.warning import warn_user
 
@@ -147,7 +147,7 @@ def _entries(document: Any) -> dict[str, Any]:
 def _gains(entry: Any, where: str, action: str) -> Gains:
     try:
         e = _object(entry, "entry", ("planner", "tracker", "feedforward", "made"))
-        require(action in LEVELS, "action level", action, f"one of {', '.join(LEVELS)}")
+        require(action in LEVEL_NAMES, "action level", action, f"one of {', '.join(LEVEL_NAMES)}")
         planner = PlannerGains(**_object(e["planner"], "planner", _PLANNER))
         tracker = None
         if action == "reference":

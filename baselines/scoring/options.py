@@ -12,7 +12,7 @@ from baselines.scoring import tasks
 from baselines.scoring.evaluation import EPISODES
 from baselines.system.arguments import Parser, reader, seconds, whole
 from formation_env import SCENARIOS
-from formation_env.laws.levels import NAMES as LEVELS
+from formation_env.laws.levels import NAMES as LEVEL_NAMES
 from formation_env.validation.checks import shown
 
 
@@ -71,7 +71,7 @@ def _add_what(own: Parser) -> None:
         "file.py:Name. (default: all of these names that fly a chosen scenario)")  # fmt: skip
     add("--scenarios", type=reader(_scenarios), metavar="NAMES",
         help=f"Scenarios to fly, separated by commas: {', '.join(SCENARIOS)}; NAME:LEVEL flies one at "
-        f"another action level, of {', '.join(LEVELS)}. (default: all; with --leaderboard also nominal "
+        f"another action level, of {', '.join(LEVEL_NAMES)}. (default: all; with --leaderboard also nominal "
         "and paper at the other levels; with --config none)")  # fmt: skip
     add("--config", type=Path, action="append", default=[], metavar="FILE",
         help="JSON file with fields of a configuration, flown as a scenario of the file's name; may be "
@@ -88,8 +88,8 @@ def _add_what(own: Parser) -> None:
     add("--seed", type=whole(0, 2**32), default=0, metavar="N",
         help="Seed of a scenario's first episode; every further one has the next. "
         "(default: %(default)s)")  # fmt: skip
-    add("--action", choices=tuple(LEVELS), metavar="LEVEL",
-        help=f"Action level of the scenarios that are named without one: {', '.join(LEVELS)}. "
+    add("--action", choices=tuple(LEVEL_NAMES), metavar="LEVEL",
+        help=f"Action level of the scenarios that are named without one: {', '.join(LEVEL_NAMES)}. "
         "(default: the scenarios' own)")  # fmt: skip
     add("--duration", type=seconds, metavar="S",
         help="Length of an episode in seconds. (default: the scenarios' own)")  # fmt: skip

@@ -20,7 +20,7 @@ import numpy as np
 
 from baselines.system.reading import read_json
 from formation_env import SCENARIOS, FormationConfig, configure
-from formation_env.laws.levels import NAMES as LEVELS
+from formation_env.laws.levels import NAMES as LEVEL_NAMES
 from formation_env.trajectories import Trajectory
 from formation_env.validation.checks import shown
 
@@ -203,5 +203,5 @@ def check_scenario(name: str) -> None:
     scenario, colon, level = name.partition(":")
     if scenario not in SCENARIOS:
         raise ValueError(f"{name!r}: expected some of {', '.join(SCENARIOS)}")
-    if colon and level not in LEVELS:
-        raise ValueError(f"{name!r}: expected after the colon one of {', '.join(LEVELS)}")
+    if colon and level not in LEVEL_NAMES:
+        raise ValueError(f"{name!r}: expected after the colon one of {', '.join(LEVEL_NAMES)}")

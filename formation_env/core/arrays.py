@@ -118,9 +118,8 @@ rewards = _field("rewards", lambda z: (size(Rewards),))
 limits = _field("limits", lambda z: (size(Limits),))
 bound_of_turning = _field("bound_of_turning", lambda z: (size(Turning),))
 offset = _field("offsets", lambda z: (z.vehicles - 1, 3))  # d, m
-start = _field(
-    "starts", lambda z: (z.vehicles, 3)
-)  # m, where vehicles stand on the ground; leader first
+# m, where vehicles stand on the ground; leader first
+start = _field("starts", lambda z: (z.vehicles, 3))
 drawing = _field("drawing", lambda z: (z.drawing,))  # bounds of a random trajectory
 references = _field("references", lambda z: (z.references * LINE,))  # the leader's, tick by tick
 CONSTANTS = tuple(MEMORY.fields)
@@ -129,9 +128,8 @@ CONSTANTS = tuple(MEMORY.fields)
 vehicle = _field("vehicles", lambda z: (z.tiles, z.vehicles, z.vehicle_rows * LANES))
 sample = _field("samples", lambda z: (z.tiles, z.vehicles, z.delays, size(Measured) * LANES))
 follower = _field("followers", lambda z: (z.tiles, z.vehicles - 1, z.follower_rows * LANES))
-speed = _field(
-    "speeds", lambda z: (z.worlds, z.window, 3)
-)  # m/s, the leader's last measured velocities
+# m/s, the leader's last measured velocities
+speed = _field("speeds", lambda z: (z.worlds, z.window, 3))
 begin = _field("begins", lambda z: (z.tiles, 3 * LANES))  # m, the leader's first reference point
 table = _field("tables", lambda z: (z.tables, z.table))  # of the leader's trajectory
 counters = _field("counters", lambda z: (z.tiles, size(Counters) * LANES), np.int64)
@@ -150,10 +148,9 @@ moving = _field("moving", lambda z: (LANES,))  # 1 for those whose trigger had f
 started = _field("started", lambda z: (LANES,))  # 1 for those whose trigger has fired
 tally = _field("tally", lambda z: (size(Tally) * LANES,))
 verdict = _field("verdict", lambda z: (size(Verdict) * LANES,))
-velocity_before = _field(
-    "velocity_before", lambda z: (2 * LANES,)
-)  # m/s, the leader's in the plane
-measured_before = _field("measured_before", lambda z: (2 * LANES,))  # m/s, the same as measured
+# m/s, the leader's in the plane, true and as measured
+velocity_before = _field("velocity_before", lambda z: (2 * LANES,))
+measured_before = _field("measured_before", lambda z: (2 * LANES,))
 reference = _field("reference", lambda z: (LINE * LANES,))  # the leader's, in this tick
 lines = _field("lines", lambda z: (LINE * LANES,))  # numbers of each world, to be turned into rows
 counts = _field("counts", lambda z: (LANES,), np.uint64)  # numbers of the samples to be taken
@@ -208,13 +205,13 @@ family, neighbours, action_size, max_steps, level = (
 window, vehicle_rows, follower_rows, measuring = (
     size_reader(Sizes, name) for name in ("window", "vehicle_rows", "follower_rows", "measuring")
 )
-read_world, read_limits = line_loader(World), line_loader(Limits)
+read_world = line_loader(World)
 read_clock, read_airframe, read_noise = (
     part_loader(World, name) for name in ("clock", "airframe", "noise")
 )
-read_trigger, read_on_ground = (part_loader(World, name) for name in ("trigger", "on_ground"))
+read_trigger = part_loader(World, "trigger")
 read_leader_actuation, read_follower_actuation = (
-    part_loader(World, f"{who}_actuation") for who in ("leader", "follower")
+    part_loader(World, f"{flown}_actuation") for flown in ("leader", "follower")
 )
 
 

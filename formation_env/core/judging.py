@@ -13,7 +13,7 @@ import numpy as np
 from formation_env._jit import device
 from formation_env.core.arrays import Candidate, Counters, Squares, Tally, Touch, Verdict
 from formation_env.core.flight import Hardest, Position, Velocity
-from formation_env.laws.levels import Follower
+from formation_env.laws.levels import Estimate, Follower
 from formation_env.laws.slots import advance_heading
 from formation_env.laws.slots import slot as slot_of
 from formation_env.laws.world import Action
@@ -113,15 +113,14 @@ class Target(NamedTuple):
 
 @device
 def place(
-    started: bool, x: Heading, leader: Passing, begin: Vector, own: Position, d: Vector
+    started: bool, x: Heading, leader: Position, begin: Vector, own: Position, d: Vector
 ) -> tuple[Target, Squares]:
     """Slot and slot error; of the other vehicles the leader is the nearest yet.
 
-    Before the start the slot is that of the leader's first reference point `begin`, at rest.
+    Before the start the slot is that of the leader's first reference point `begin`.
     """
     p_L = pick_vector(started, leader.p, begin)
-    v_L = pick_vector(started, leader.v, ZERO)
-    target = slot_of(x.heading, p_L, v_L, d)
+    target = slot_of(x.heading, p_L, ZERO, d)
     error, apart = sub(target.p, own.p), sub(own.p, leader.p)
     return Target(target.p, error), Squares(dot(error, error), dot(apart, apart))
 
@@ -330,14 +329,8 @@ def observed(
 show = over_lanes(observed, into=("rows",), uniform=("d",), bounds=bounds(Observation), x=Follower)
 
 
-class Frame(NamedTuple):
-    """A part of a follower's rows."""
-
-    estimate: complex
-
-
 @device
-def observed_neighbour(number: float, x: Frame, own: Passing, other: Passing) -> Neighbour:
+def observed_neighbour(number: float, x: Estimate, own: Passing, other: Passing) -> Neighbour:
     """Another follower; there is none of number -1."""
     return observe_neighbour(own, other, x.estimate, number >= 0.0)
 

@@ -169,12 +169,8 @@ def fly(memory: Any, room: Any, t: int) -> None:
     if measuring == arrays.EVERY_TICK:
         flight.number_samples(arrays.counters(memory, t), arrays.counts(room))
     for i in range(arrays.vehicles(memory)):
-        x, applied, push = (
-            arrays.vehicle(memory, t, i),
-            arrays.command(room, i),
-            arrays.push(room, i),
-        )
-        touch, by = arrays.touch(room, i), actuation_of(memory, i)
+        x, by = arrays.vehicle(memory, t, i), actuation_of(memory, i)
+        applied, push, touch = arrays.command(room, i), arrays.push(room, i), arrays.touch(room, i)
         flight.clear_touch(touch)
         fetch_next(memory, room, t, i)
         low = flight.count_landing(
@@ -243,11 +239,8 @@ def move_clocks(memory: Any, room: Any, t: int) -> None:
 @step
 def turn_headings(memory: Any, room: Any, t: int) -> None:
     """The headings of slots and those that the followers estimate, in the worlds that have flown."""
-    leader, before, moving = (
-        arrays.vehicle(memory, t, 0),
-        arrays.velocity_before(room),
-        arrays.moving(room),
-    )
+    leader, before = arrays.vehicle(memory, t, 0), arrays.velocity_before(room)
+    moving = arrays.moving(room)
     h = arrays.read_clock(arrays.world(memory)).period
     for i in range(arrays.vehicles(memory) - 1):
         x, d_x = arrays.follower(memory, t, i), arrays.offset(memory, i)[0]

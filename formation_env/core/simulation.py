@@ -143,8 +143,8 @@ class Simulation:
 
     def look(self) -> Results:
         """What every follower sees now; changes nothing."""
-        nobody = np.zeros(self._num_worlds, dtype=np.bool_)
-        return self._run(kernels.RESET, self._no_actions(), nobody)
+        no_worlds = np.zeros(self._num_worlds, dtype=np.bool_)
+        return self._run(kernels.RESET, self._no_actions(), no_worlds)
 
     def _no_actions(self) -> NDArray[np.float32]:
         return np.zeros((1, self._config.followers, self._config.action_size), dtype=np.float32)
@@ -198,10 +198,10 @@ class Simulation:
         if self._team is None or self._team.owner != os.getpid():
             config = self._config
             actions = np.zeros((0, config.followers, config.action_size), dtype=np.float32)
-            nobody, nothing = np.zeros(0, dtype=np.bool_), Shapes(config, 0).results(True)
+            no_worlds, nothing = np.zeros(0, dtype=np.bool_), Shapes(config, 0).results(True)
             serve: Any = kernels.advance
             arguments = [
-                (kernels.STEP, actions, nobody, self._memory, room, *nothing)
+                (kernels.STEP, actions, no_worlds, self._memory, room, *nothing)
                 for room in self._rooms[1:]
             ]
             servants = [partial(_serve, serve, own) for own in arguments]

@@ -3,15 +3,15 @@
 A pool wakes its threads by the operating system and runs Python in each of them for every call: some
 tens of microseconds, as long as a step of hundreds of worlds. So a worker stays within the compiled
 kernel and looks out for the next call on a *desk*, a few words of memory that all see. There the caller
-writes where its arrays are, and everybody takes tiles one by one: first those of a range of its own, so
-that state stays in the cache of its core, then what is left in the ranges of others. Nobody waits for a
+writes where its arrays are, and each thread takes tiles one by one: first those of a range of its own, so
+that state stays in the cache of its core, then what is left in the ranges of others. No thread waits for a
 worker that sleeps or that the operating system has stopped, only for the tiles it has begun.
 
 A claim is a compare-and-swap on a word that holds the call's ticket and the next tile. What a call has on
 the desk is overwritten when all its tiles are done, and then no word of that ticket has a tile left: a
 worker that has read half of the old and half of the new call claims nothing with it.
 
-Who waits asks the operating system every microsecond to let another thread run: woken, a worker often
+A thread that waits asks the operating system every microsecond to let another one run: woken, a worker often
 starts on the very core of its caller, and would keep it from posting what it waits for.
 
 A worker without work for `PATIENCE` rounds of that goes to sleep, and the next call rings its bell. If the
@@ -71,7 +71,7 @@ def load_word(typing: Any, address: Any) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def store_word(typing: Any, address: Any, value: Any) -> Any:
-    """Write the word; who reads it sees what was written before (release)."""
+    """Write the word; a thread that reads it sees what was written before (release)."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         builder.store_atomic(arguments[1], _word(builder, arguments[0]), "release", 8)
@@ -192,7 +192,7 @@ def post(desk: int, call: Any) -> int:
 
 @device
 def posted(desk: int, k: int) -> int:
-    """Word `k` of the call: valid for who then claims a tile under the ticket read before."""
+    """Word `k` of the call: valid for a thread that then claims a tile under the ticket read before."""
     return load_word(desk + _CALL + 8 * k)  # type: ignore[no-any-return]
 
 
@@ -213,7 +213,7 @@ def await_ticket(desk: int, last: int) -> int:
 
 @device
 def claim(desk: int, ticket: int, member: int) -> int:
-    """A tile that nobody else flies in this call, or -1 if all are taken or it is not the call."""
+    """A tile that no other thread flies in this call, or -1 if all are taken or it is not the call."""
     members = load_word(desk + _SIZES + 8)
     for k in range(members):
         owner = (member + k) % members
@@ -320,7 +320,7 @@ class Team:
         self.desk: int = room.ctypes.data
 
     def wake(self) -> int:
-        """Wake who sleeps, without waiting; the address of the desk."""
+        """Wake the workers that sleep, without waiting; the address of the desk."""
         for worker in self._workers:
             if worker.asleep:
                 worker.ring()

@@ -158,10 +158,10 @@ def keep_last(memory: Any, room: Any, t: int, here: int) -> bool:
     for lane in range(here):
         w = t * LANES + lane
         if active[lane] != 0.0 and count[_OVER + lane] != 0:
-            seen = carve(observations_of(memory, room, False), w * one, (one,))
-            copy_numbers(seen, observations_of(memory, room, True), w * one, one)
-            done = carve(outputs_of(memory, room, False), w * two, (two,))
-            copy_numbers(done, outputs_of(memory, room, True), w * two, two)
+            rows = carve(observations_of(memory, room, False), w * one, (one,))
+            copy_numbers(rows, observations_of(memory, room, True), w * one, one)
+            outcomes = carve(outputs_of(memory, room, False), w * two, (two,))
+            copy_numbers(outcomes, outputs_of(memory, room, True), w * two, two)
             any_ended = True
     return any_ended
 
@@ -181,13 +181,10 @@ def locate(memory: Any, room: Any, t: int, here: int) -> int:
     leader = arrays.vehicle(memory, t, 0)
     begin = begin_rows(memory, t, standing, leader)
     for i in range(arrays.vehicles(memory) - 1):
-        x, own, squares = (
-            arrays.follower(memory, t, i),
-            arrays.vehicle(memory, t, i + 1),
-            arrays.squares(room, i),
-        )
-        d, started = arrays.offset(memory, i), arrays.started(room)
-        judging.locate(started, x, leader, begin, own, d, arrays.outcome(room, i), squares)
+        x, own = arrays.follower(memory, t, i), arrays.vehicle(memory, t, i + 1)
+        started, d = arrays.started(room), arrays.offset(memory, i)
+        outcome, squares = arrays.outcome(room, i), arrays.squares(room, i)
+        judging.locate(started, x, leader, begin, own, d, outcome, squares)
         if not many:
             approach_others(memory, room, t, i)
     if many:
@@ -238,11 +235,8 @@ def judge(memory: Any, room: Any, t: int, here: int) -> None:
             limits,
             arrays.outcome(room, i),
         )
-    count, last, verdict = (
-        arrays.counters(memory, t),
-        arrays.max_steps(memory),
-        arrays.verdict(room),
-    )
+    count, verdict = arrays.counters(memory, t), arrays.verdict(room)
+    last = arrays.max_steps(memory)
     judging.conclude(count, tally, leader, active, float(n), limits, last, verdict)
     ends, worlds = ends_of(memory, room), arrays.worlds(memory)
     for k in range(_VERDICT):

@@ -76,7 +76,7 @@ class Guided(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """The frame that a follower is shown things in."""
+    """A part of a follower's rows: the frame of what it observes."""
 
     estimate: complex
 
@@ -184,12 +184,10 @@ class Level(NamedTuple):
     view: Any  # a record of what a policy sees of it, or None
     decode: Any  # an action as a wrench; at a guided level as the trajectory's point
     encode: Any  # its inverse
-    exploration: (
-        float  # standard deviation of actions at the start of learning, where differences matter
-    )
-    command: (
-        Any  # (follower, measurement, action, moving, active, world, actuation, command) of a tile
-    )
+    # Standard deviation of actions at the start of learning: about as far apart as differences matter.
+    exploration: float
+    # (follower, measurement, action, moving, active, world, actuation, command) of a tile
+    command: Any
     show: Any  # (follower, measurement, rows of an observation) of a tile
 
 

@@ -157,12 +157,14 @@ def within(p: Vector, target: Vector, radius: float) -> bool:
 
 
 # What disturbs a vehicle: whether anything does, the states of all disturbances a tick later, their push.
-disturbed = over_table(World, "disturbed", "line", "acts(parameters)", "either")
+disturbed = over_table(World, "disturbed", "line", "{acts}({parameters})", "either")
 next_states = over_table(
     World,
     "next_states",
     "states, body, line, key, who, tick",
-    "advance(state, body, parameters, key, who, tick)",
+    "{advance}({state}, body, {parameters}, key, who, tick)",
     "States",
 )
-pushed = over_table(World, "pushed", "states, body, line", "push(state, body, parameters)", "add")
+pushed = over_table(
+    World, "pushed", "states, body, line", "{push}({state}, body, {parameters})", "add"
+)

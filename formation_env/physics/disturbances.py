@@ -8,6 +8,7 @@ asks for (`turning.stays_up`) is its own size: a new row of the table needs noth
 
 from __future__ import annotations
 
+from functools import reduce
 from math import exp, sqrt
 from typing import Any, NamedTuple
 
@@ -90,9 +91,9 @@ def parameters(config: Any) -> Any:
 def over_table(world: Any, name: str, arguments: str, term: str, whole: str) -> Any:
     """A compiled function `name(arguments)` of every row of the table, in order.
 
-    `term` is the expression for a row, with `parameters` read from `line`, the numbers of a record of type
-    `world` that has `disturbances`, `state` that of `states`, and the row's own `acts`, `advance` and `push`.
-    `whole` joins them: a class that takes them all, or a function of two.
+    `term` is the expression for a row: `{acts}`, `{advance}` and `{push}` are its own laws, `{state}` is its
+    field of `states`, `{parameters}` its field of `disturbances`, which is read from `line`, the numbers of a
+    record of type `world`. `whole` joins them: a class that takes them all, or a function of two.
     """
     names: dict[str, Any] = {"States": States, "add": add, "either": _either}
     names["read"] = part_loader(world, "disturbances")
@@ -100,17 +101,12 @@ def over_table(world: Any, name: str, arguments: str, term: str, whole: str) -> 
     for one in DISTURBANCES:
         own = {"acts": one.acts, "advance": one.advance, "push": one.push}
         names |= {f"{one.name}_{verb}": law for verb, law in own.items()}
-        text = term.replace("parameters", f"read(line).{one.name}")
-        text = text.replace("state,", f"states.{one.name},")
-        for verb in own:
-            text = text.replace(f"{verb}(", f"{one.name}_{verb}(")
-        terms.append(text)
-    if whole == "States":
-        joined = f"States({', '.join(terms)})"
-    else:
-        joined = terms[0]
-        for other in terms[1:]:
-            joined = f"{whole}({joined}, {other})"
+        laws = {verb: f"{one.name}_{verb}" for verb in own}
+        at = {"state": f"states.{one.name}", "parameters": f"read(line).{one.name}"}
+        terms.append(term.format(**laws, **at))
+    joined = f"States({', '.join(terms)})"
+    if whole != "States":
+        joined = reduce(lambda a, b: f"{whole}({a}, {b})", terms)
     source = f"def {name}({arguments}):\n    return {joined}\n"
     return device(define(name, source, names))
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from baselines.registry import METHODS
 from formation_env import SCENARIOS
-from formation_env.laws.levels import NAMES as LEVELS
+from formation_env.laws.levels import NAMES as LEVEL_NAMES
 from train.log import HEADER, LogRow
 
 LARGEST_COUNT = 60  # of rows in a curve
@@ -53,7 +53,12 @@ class Curve(NamedTuple):
 def order(key: Key) -> tuple[int, int, int, str]:
     """Key for sorting by scenario, level and method, each in the order in which they are listed elsewhere."""
     place = METHODS.index(key.method) if key.method in METHODS else len(METHODS)
-    return list(SCENARIOS).index(key.scenario), list(LEVELS).index(key.action), place, key.method
+    return (
+        list(SCENARIOS).index(key.scenario),
+        list(LEVEL_NAMES).index(key.action),
+        place,
+        key.method,
+    )
 
 
 # -- reading --------------------------------------------------------------------------------------
@@ -92,7 +97,7 @@ def _row(line: str) -> LogRow:
 def read_curve(path: Path) -> Curve:
     """A curve from its file. Raises `ValueError` naming the file, `OSError`."""
     found = re.fullmatch(r"(.+)-(\w+)-(\w+)-(\d+)", path.stem, re.ASCII)
-    if found is None or found[2] not in SCENARIOS or found[3] not in LEVELS:
+    if found is None or found[2] not in SCENARIOS or found[3] not in LEVEL_NAMES:
         raise ValueError(f"{path}: expected a name such as ppo-nominal-wrench-0.csv")
     try:
         command, rows = read_log(path.read_text(encoding="utf-8"))

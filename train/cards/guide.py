@@ -12,7 +12,7 @@ from baselines.files import Card, Network
 from baselines.policies.tuned import GAINS, read
 from baselines.registry import USUAL
 from formation_env import SCENARIOS
-from formation_env.laws.levels import NAMES as LEVELS
+from formation_env.laws.levels import NAMES as LEVEL_NAMES
 from train.cards.curves import Curve, Key, order, read_curve
 from train.cards.pictures import picture_name
 from train.cards.shipping import (
@@ -177,7 +177,7 @@ def _effort(each: Shipped | None, runs: Sequence[Curve]) -> list[str]:
 def _tuned_table(tuned: dict[str, Any]) -> str:
     rows = []
     for scenario in (name for name in SCENARIOS if name in tuned):
-        for action in (level for level in LEVELS if level in tuned[scenario]):
+        for action in (level for level in LEVEL_NAMES if level in tuned[scenario]):
             entry = tuned[scenario][action]
             made = entry.get("made", {})
             seeds = "-".join(map(str, made.get("validation", ())))
@@ -203,7 +203,7 @@ def _curves(curves: Sequence[Curve]) -> str:
 def _generalisation(transfers: Sequence[Transfer]) -> str:
     """A table for each action level: rows are tasks, columns policies."""
     tables = []
-    for action in LEVELS:
+    for action in LEVEL_NAMES:
         here = {(t.task, t.policy): t for t in transfers if t.action == action}
         policies = list(dict.fromkeys(policy for _, policy in here))
         if all(policy in COMPARED for policy in policies):

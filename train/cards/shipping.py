@@ -20,7 +20,7 @@ from baselines.scoring.intervals import Estimate
 from baselines.scoring.results import Result
 from baselines.system.writing import write_text
 from formation_env import SCENARIOS, FeasibilityWarning, FormationConfig, configure, formations
-from formation_env.laws.levels import NAMES as LEVELS
+from formation_env.laws.levels import NAMES as LEVEL_NAMES
 from train.cards.curves import Curve, Key, read_log, thinned, to_text
 
 # Where things lie in a checkout.
@@ -120,7 +120,7 @@ def keep_curve(curve: Curve, checkout: Path) -> Path:
 def shipped(checkout: Path) -> Iterator[tuple[Key, Path]]:
     """The policies of a checkout, in the usual order."""
     for scenario in SCENARIOS:
-        for action in LEVELS:
+        for action in LEVEL_NAMES:
             for method in METHODS:
                 path = checkout / POLICIES / f"{method}-{scenario}-{action}{SUFFIX}"
                 if path.is_file():
