@@ -14,6 +14,7 @@ Setting `NUMBA_DISABLE_JIT=1` turns all of it back into Python, for coverage and
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import sys
 from collections.abc import Callable, Iterator
@@ -174,19 +175,32 @@ def kernel(function: F) -> F:
     return compiled  # type: ignore[no-any-return]
 
 
-class _Announcement(event.Listener):  # type: ignore[misc]
-    """Tells once per process that a slow kernel is being compiled, as that begins."""
+class _SlowKernels(event.Listener):  # type: ignore[misc]
+    """What is done while a slow kernel is compiled: see `on_start`."""
 
     def __init__(self) -> None:
-        self.slow: list[Any] = []
-        self._told = False
+        self.kernels: list[Any] = []
+        self.told = False
+        self._thresholds = gc.get_threshold()
+
+    def _is_one(self, event: Any) -> bool:
+        return any(event.data["dispatcher"] is one for one in self.kernels)
 
     def on_start(self, event: Any) -> None:
-        kernel = event.data["dispatcher"]
-        if self._told or all(kernel is not one for one in self.slow):
+        """Say once per process that this takes long, and collect garbage less often meanwhile.
+
+        The compiler holds some millions of objects until it is done; looking through them for garbage at the
+        usual pace is a tenth of its time.
+        """
+        if not self._is_one(event):
             return
-        self._told = True
-        folder = kernel.stats.cache_path
+        self._thresholds = gc.get_threshold()
+        if gc.isenabled() and self._thresholds[0]:
+            gc.set_threshold(100_000, 50, 100)
+        if self.told:
+            return
+        self.told = True
+        folder = event.data["dispatcher"].stats.cache_path
         kept = f"it is kept in {folder}" if folder else "no folder to keep it in: NUMBA_CACHE_DIR"
         print(
             f"formation_env: compiling the simulation, which can take a minute ({kept})",
@@ -195,25 +209,26 @@ class _Announcement(event.Listener):  # type: ignore[misc]
         )
 
     def on_end(self, event: Any) -> None:
-        pass
+        if self._is_one(event):
+            gc.set_threshold(*self._thresholds)
 
 
-_announcement = _Announcement()
+_slow_kernels = _SlowKernels()
 
 
 @contextmanager
 def untold() -> Iterator[None]:
     """Within, the notice that a slow kernel is compiled is not printed: the caller prints its own."""
-    before, _announcement._told = _announcement._told, True
+    before, _slow_kernels.told = _slow_kernels.told, True
     try:
         yield
     finally:
-        _announcement._told = before
+        _slow_kernels.told = before
 
 
 def announced(kernel: F) -> F:
     """Have the user told when this kernel has to be compiled: not when it comes from the cache."""
-    if not _announcement.slow:
-        event.register("numba:compile", _announcement)
-    _announcement.slow.append(kernel)
+    if not _slow_kernels.kernels:
+        event.register("numba:compile", _slow_kernels)
+    _slow_kernels.kernels.append(kernel)
     return kernel

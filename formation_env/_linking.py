@@ -44,6 +44,14 @@ class _Linked(JITCodeLibrary):  # type: ignore[misc]
     def codegen(self) -> Any:
         return _NoMachineCode(self._codegen)
 
+    def _optimize_functions(self, module: Any) -> None:
+        # What Numba does to save memory before all is optimised. Code of steps is only optimised with the
+        # kernel, where each function that calls it would meet it in its longest form.
+        if self.optimised:
+            module.data_layout = self._codegen._data_layout
+        else:
+            super()._optimize_functions(module)
+
     def _optimize_final_module(self) -> None:
         if self.optimised:
             super()._optimize_final_module()
