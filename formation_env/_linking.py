@@ -54,7 +54,8 @@ class _Linked(JITCodeLibrary):  # type: ignore[misc]
 
     def _optimize_final_module(self) -> None:
         if self.optimised:
-            super()._optimize_final_module()
+            passes, builder = self._codegen._module_pass_manager()
+            passes.run(self._final_module, builder)
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()

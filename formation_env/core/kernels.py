@@ -1,4 +1,4 @@
-"""What Python calls: the loop over the tiles of all worlds, by one thread or many, and the leader's path."""
+"""What Python calls: the loop over the tiles of all worlds, by one thread or many."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from formation_env._jit import announced, kernel, step
 from formation_env.core import arrays
-from formation_env.core.arrays import LINE, Counters
+from formation_env.core.arrays import Counters
 from formation_env.core.calls import RESET as RESET
 from formation_env.core.calls import (
     STEP as STEP,  # as `kernels.STEP`, ..., which `Simulation.step` takes
@@ -19,14 +19,11 @@ from formation_env.core.calls import STEP_OR_RESET as STEP_OR_RESET
 from formation_env.core.calls import note_call, post_call, streamed, take_call
 from formation_env.core.threads import await_ticket, claim, report, settle
 from formation_env.core.tick import tick
-from formation_env.maths.so3 import Vector
-from formation_env.memory.records import LANES, at, line_storer
+from formation_env.memory.records import LANES, at
 from formation_env.memory.shuffles import carve, count_finite, drain
 from formation_env.memory.store import Floats
-from formation_env.trajectories import TrajectoryPoint, evaluate
 
 _OVER = at(Counters, "over") * LANES
-_write_point, _write_reference = line_storer(Vector), line_storer(TrajectoryPoint)
 
 
 @step
@@ -113,22 +110,3 @@ def advance(
 def first_bad_action(mode: int, actions: NDArray[np.float32], memory: Floats) -> int:
     """Number of the first row `(world, follower)` that holds a non-finite number and matters, or -1."""
     return bad_action(mode, actions, memory)
-
-
-@kernel
-def reference_path(kind: int, table: Floats, times: Floats) -> Floats:
-    """Positions of a trajectory at `times`, `(N, 3)`."""
-    table, path = carve(table, 0, (len(table),)), np.empty((len(times), 3))
-    for k in range(len(times)):
-        _write_point(path[k], evaluate(kind, table, times[k]).p)
-    return path
-
-
-@announced
-@kernel
-def reference_table(kind: int, table: Floats, period: float, steps: int) -> Floats:
-    """A trajectory tick by tick, `(steps + 1, LINE)`: position and four derivatives."""
-    table, rows = carve(table, 0, (len(table),)), np.zeros((steps + 1, LINE))
-    for k in range(steps + 1):
-        _write_reference(rows[k], evaluate(kind, table, k * period))
-    return rows

@@ -24,8 +24,10 @@ from formation_env.core.results import Results, Shapes
 from formation_env.core.snapshots import Snapshot as Snapshot  # as `simulation.Snapshot`
 from formation_env.core.snapshots import check_snapshot
 from formation_env.core.threads import Team, cores
-from formation_env.memory.records import LANES, slices
+from formation_env.memory.records import LANES, size, slices
 from formation_env.memory.store import Floats
+from formation_env.paths.references import TrajectoryPoint
+from formation_env.paths.trajectory import sample
 from formation_env.physics.sensors import Measured
 from formation_env.task import Layout, Outcome
 from formation_env.validation.checks import array, integer, require
@@ -316,9 +318,8 @@ class Simulation:
         world = integer("world", world, 0, self._num_worlds - 1)
         tables = self._state.tables
         table = tables[world if len(tables) > 1 else 0]
-        return kernels.reference_path(
-            self._config.trajectory.kind, table, array("times", times, (None,))
-        )
+        times = array("times", times, (None,))
+        return sample(self._config.trajectory.kind, table, times)[:, :3]
 
     # -- saving -----------------------------------------------------------------------------------
 
@@ -358,8 +359,9 @@ def _references(config: FormationConfig) -> Floats:
     path, steps = config.trajectory, config.max_steps
     if path.random is not None or steps > TABULATED:
         return np.zeros((0, arrays.LINE))
-    period = float(config.control_period)
-    table: Floats = kernels.reference_table(path.kind, path.table, period, steps)
+    table, points = np.zeros((steps + 1, arrays.LINE)), size(TrajectoryPoint)
+    times: Floats = np.arange(steps + 1, dtype=np.float64) * float(config.control_period)
+    table[:, :points] = sample(path.kind, path.table, times)
     return table
 
 

@@ -10,23 +10,19 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from formation_env._jit import kernel
+from formation_env._jit import announced, kernel
+from formation_env.maths.so3 import Vector
+from formation_env.memory.records import line_storer, size
 from formation_env.memory.shuffles import carve
 from formation_env.paths import tables
 from formation_env.paths.random_paths import RandomSmooth, checked_bounds, draw
-from formation_env.paths.references import SINES, Floats, evaluate, start_direction
+from formation_env.paths.references import SINES, Floats, TrajectoryPoint, evaluate, start_direction
 from formation_env.paths.tables import KINDS, LARGEST
 from formation_env.validation.checks import array, integer, number, refuse, require, shown
 
 _NAMES = {number: name for name, number in KINDS.items()}
+_write = line_storer(TrajectoryPoint)
 _FIELDS = ("name", "kind", "table", "duration", "random")
-
-
-@kernel
-def path_start(kind: int, table: Floats) -> tuple[complex, tuple[float, float, float]]:
-    """`start_direction` and the first point, for Python: from the cache, as compiling takes seconds."""
-    table = carve(table, 0, (len(table),))
-    return start_direction(kind, table), evaluate(kind, table, 0.0).p
 
 
 @kernel
@@ -34,17 +30,32 @@ def _draw_one(key: int, bounds: Floats, table: Floats) -> None:
     draw(key, bounds, table)
 
 
+@announced
 @kernel
-def _sample(kind: int, table: Floats, times: Floats, out: Floats) -> None:
+def _sample(kind: int, table: Floats, times: Floats, rows: Floats) -> complex:
+    """Fill `rows`, `(N, size(TrajectoryPoint))`, with the path at `times`; its direction at the start.
+
+    The one kernel that Python asks about a path: each takes about half a second to compile.
+    """
     table = carve(table, 0, (len(table),))
     for i in range(times.shape[0]):
-        r = evaluate(kind, table, times[i])
-        for axis in range(3):
-            out[i, 0, axis] = r.p[axis]
-            out[i, 1, axis] = r.v[axis]
-            out[i, 2, axis] = r.a[axis]
-            out[i, 3, axis] = r.j[axis]
-            out[i, 4, axis] = r.s[axis]
+        _write(rows[i], evaluate(kind, table, times[i]))
+    return start_direction(kind, table)
+
+
+def sample(kind: int, table: Floats, times: Floats) -> Floats:
+    """The path of a table at `times` (s, `(N,)`): `(N, 15)`, position and four derivatives, unchecked."""
+    rows = np.empty((len(times), size(TrajectoryPoint)))
+    _sample(kind, table, times, rows)
+    return rows
+
+
+def path_start(kind: int, table: Floats) -> tuple[complex, Vector]:
+    """`start_direction` and the first point, m."""
+    rows = np.empty((1, size(TrajectoryPoint)))
+    direction = _sample(kind, table, np.zeros(1), rows)
+    x, y, z = rows[0, :3].tolist()
+    return direction, (x, y, z)
 
 
 @final
@@ -135,9 +146,7 @@ class Trajectory:
         """
         require(self.random is None, "trajectory", self.name, "a drawn one; call drawn(key)")
         times = array("t", t, None, -LARGEST, LARGEST, strict=False)
-        out = np.empty((times.size, 5, 3))
-        _sample(self.kind, self.table, times.ravel(), out)
-        return out.reshape(*times.shape, 5, 3)
+        return sample(self.kind, self.table, times.ravel()).reshape(*times.shape, 5, 3)
 
     def drawn(self, key: int) -> Trajectory:
         """The trajectory itself, or for a random one the path of the episode `key` (64 bits)."""
