@@ -181,7 +181,7 @@ class _SlowKernels(event.Listener):  # type: ignore[misc]
     def __init__(self) -> None:
         self.kernels: list[Any] = []
         self.told = False
-        self._thresholds = gc.get_threshold()
+        self._thresholds: list[tuple[int, int, int]] = []  # of kernels that compile others
 
     def _is_one(self, event: Any) -> bool:
         return any(event.data["dispatcher"] is one for one in self.kernels)
@@ -194,8 +194,8 @@ class _SlowKernels(event.Listener):  # type: ignore[misc]
         """
         if not self._is_one(event):
             return
-        self._thresholds = gc.get_threshold()
-        if gc.isenabled() and self._thresholds[0]:
+        self._thresholds.append(gc.get_threshold())
+        if gc.get_threshold()[0]:
             gc.set_threshold(100_000, 50, 100)
         if self.told:
             return
@@ -210,7 +210,7 @@ class _SlowKernels(event.Listener):  # type: ignore[misc]
 
     def on_end(self, event: Any) -> None:
         if self._is_one(event):
-            gc.set_threshold(*self._thresholds)
+            gc.set_threshold(*self._thresholds.pop())
 
 
 _slow_kernels = _SlowKernels()

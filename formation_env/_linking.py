@@ -11,7 +11,15 @@ from typing import Any
 
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
-from numba.core.typed_passes import NopythonRewrites
+from numba.core.typed_passes import DumpParforDiagnostics, NopythonRewrites
+from numba.core.untyped_passes import (
+    FindLiterallyCalls,
+    InlineClosureLikes,
+    InlineInlinables,
+    LiteralPropagationSubPipelinePass,
+    LiteralUnroll,
+    MakeFunctionToJitFunction,
+)
 
 
 class _NoMachineCode:
@@ -77,6 +85,20 @@ class _LinkedCold(_LinkedLate):
     attributes = ("noinline", "optsize", "cold")
 
 
+# Passes for what kernels do not contain: closures and comprehensions, inlining of Numba's own,
+# loops over literals, and expressions of whole arrays.
+_NOT_NEEDED = (
+    InlineClosureLikes,
+    InlineInlinables,
+    FindLiterallyCalls,
+    LiteralUnroll,
+    MakeFunctionToJitFunction,
+    LiteralPropagationSubPipelinePass,
+    NopythonRewrites,
+    DumpParforDiagnostics,
+)
+
+
 class LinkedCompiler(Compiler):  # type: ignore[misc]
     """Numba's compiler, for functions that are linked and never called from Python."""
 
@@ -85,8 +107,7 @@ class LinkedCompiler(Compiler):  # type: ignore[misc]
     def define_pipelines(self) -> Any:
         pipelines = super().define_pipelines()
         for pipeline in pipelines:
-            # Expressions of whole arrays, which kernels do not contain.
-            pipeline.passes = [one for one in pipeline.passes if one[0] is not NopythonRewrites]
+            pipeline.passes = [one for one in pipeline.passes if one[0] not in _NOT_NEEDED]
         state = self.state
         state.library = self.library(state.targetctx.codegen(), state.func_id.func_qualname)
         return pipelines

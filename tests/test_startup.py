@@ -34,8 +34,11 @@ def octuple(x):
     return 2.0 * quadruple(x)
 """
 CALL = """
+import gc
 import small
+before = gc.get_threshold()
 assert small.octuple(1.0) == 8.0 and small.quadruple(1.0) == 4.0
+assert gc.get_threshold() == before
 stats = small.octuple.stats
 print(sum(stats.cache_hits.values()), stats.cache_path)
 """
