@@ -212,12 +212,12 @@ class FormationParallelEnv(Fixed, ParallelEnv[str, Array, Array]):
         observations: dict[str, Array] = {}
         rewards: dict[str, float] = {}
         infos: dict[str, dict[str, Any]] = {}
-        seen, outputs = results.observations, results.outputs
+        observed, outputs = results.observations, results.outputs
         # One conversion for all: a NumPy scalar each would cost more than the simulation.
         numbers = iter(outputs.tolist()[0])
         for agent, own, slot, error in self._places:
             row = next(numbers)
-            observations[agent] = seen[own]
+            observations[agent] = observed[own]
             rewards[agent] = row[REWARD]
             infos[agent] = faces.describe_agent(outputs[slot], outputs[error], row)
         return observations, rewards, infos

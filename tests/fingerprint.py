@@ -5,9 +5,9 @@
     python tests/fingerprint.py [SCENARIO ...] | diff before.txt -
 
 One line for each scenario, action level, face, number of worlds and number of threads: the SHA-256 of
-observations, rewards, ends and `info` of 60 steps from seed 0, in which some vehicles crash and
-episodes begin anew. On one machine, with the same versions of NumPy and Numba, the lines have to stay;
-another processor rounds differently and has other ones.
+observations, rewards, ends, `info` and true states of 60 steps from seed 0, in which some vehicles
+crash and episodes begin anew. On one machine, with the same versions of NumPy and Numba, the lines
+have to stay; another processor rounds differently and has other ones.
 """
 
 from __future__ import annotations
@@ -37,6 +37,11 @@ SCENARIOS: dict[str, dict[str, Any]] = {
     "late": {"measurement_delay": 2, "noise": _NOISE, "reference_actuation": "rates"},
     "seldom": {"measurement_period": 0.03, "measurement_delay": 1, "noise": _NOISE},
     "differenced": {"estimator": "differenced", "window": 10, "noise": _NOISE},
+    # Measurements of single worlds without noise, whose last bits noise would hide, and with much of it,
+    # which shows how attitudes are turned.
+    "late-exact": {"scenario": "swarm", "measurement_delay": 2},
+    "often-exact": {"scenario": "swarm", "measurement_period": 0.005},
+    "unsteady": {"measurement_delay": 1, "noise": Noise(0.02, 0.03, 0.04, 0.1, 0.02)},
     "crowd": {"scenario": "swarm", "followers": 40, "neighbours": 3},
     "crowd-by-two": {"scenario": "swarm", "followers": 40},
 }
@@ -78,13 +83,18 @@ def _feed(digest: Any, value: Any) -> None:
         digest.update(array.tobytes())
 
 
+def truth(flown: simulation.Simulation) -> tuple[Any, ...]:
+    """The true states in float64: observations in float32 hide a change of the last bits."""
+    return flown.positions, flown.velocities, flown.attitudes, flown.angular_velocities
+
+
 def fly_alone(config: FormationConfig) -> Iterator[Any]:
-    """All that the Gymnasium face returns."""
+    """All that the Gymnasium face returns, and the truth."""
     env = FormationEnv(config)
     yield env.reset(seed=0)
     for action in pilot(1, *env.action_space.shape)[:, 0]:
         step = env.step(action)
-        yield step
+        yield step, truth(env.simulation)
         if step[2] or step[3]:
             yield env.reset()
     env.close()
@@ -103,14 +113,14 @@ def fly_agents(config: FormationConfig) -> Iterator[Any]:
 
 
 def fly_many(config: FormationConfig, mode: str, worlds: int, threads: int) -> Iterator[Any]:
-    """All that the vector face returns."""
+    """All that the vector face returns, and the truth."""
     env = FormationVectorEnv(
         worlds, config, max_episode_steps=LIMIT, autoreset_mode=mode, threads=threads
     )
     yield env.reset(seed=0)
     for rows in pilot(worlds, *env.single_action_space.shape):
         step = env.step(rows)
-        yield step
+        yield step, truth(env.simulation)
         over = step[2] | step[3]
         if mode == "disabled" and over.any():
             yield env.reset(options={"reset_mask": over})

@@ -57,5 +57,5 @@ def test_one_bit_changes_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_some_crash_and_some_are_truncated(scenario: str) -> None:
     _, *steps = fly_many(configure(**SCENARIOS[scenario]), "same_step", 17, 1)
-    assert any(terminated.any() for _, _, terminated, _, _ in steps)
-    assert any(truncated.any() for _, _, _, truncated, _ in steps)
+    assert any(terminated.any() for (_, _, terminated, _, _), _ in steps)
+    assert any(truncated.any() for (_, _, _, truncated, _), _ in steps)

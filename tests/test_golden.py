@@ -67,7 +67,7 @@ TASKS = {
             "reference_actuation": "rates",
         }
     ),
-    # More than 30 vehicles: the sweep of `crowd` finds neighbours, by a loop of its own where two are wanted.
+    # More than 30 vehicles: the sweep of `nearest` finds neighbours, by its own loop where two are wanted.
     "crowd": Task({"scenario": "swarm", "followers": 40, "neighbours": 3}, steps=60),
     "crowd-by-two": Task({"scenario": "swarm", "followers": 40}, steps=60, every=30),
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import ast
 from pathlib import Path
 from typing import get_args, get_type_hints
 
@@ -15,6 +15,27 @@ from formation_env import config as configuration
 from formation_env import configure
 from formation_env.laws.levels import LEVELS, NAMES
 from train import options as training
+
+
+def listing(text: str) -> list[int]:
+    """Lines of a source in which a tuple, list, set or dictionary names all levels."""
+    tree = ast.parse(text)
+    types = {
+        id(node.slice)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Subscript) and ast.unparse(node.value) == "Literal"
+    }
+    found = []
+    for node in ast.walk(tree):
+        members: list[ast.expr | None] = []
+        if isinstance(node, ast.Dict):
+            members = node.keys
+        elif isinstance(node, (ast.Tuple, ast.List, ast.Set)) and id(node) not in types:
+            members = [*node.elts]
+        names = {one.value for one in members if isinstance(one, ast.Constant)}
+        if names.issuperset(NAMES):
+            found.append(node.lineno)
+    return found
 
 
 def test_what_lists_the_levels_has_those_of_the_table() -> None:
@@ -37,12 +58,24 @@ def test_no_list_of_the_levels_is_written_by_hand(package: str, root: Path) -> N
 
     But for the type of an option, which type checkers do not compute.
     """
-    listed = r"(?<!Literal)[(\[{][^()\[\]{}]*" + r"[^()\[\]{}]*".join(
-        f"[\"']{name}[\"']" for name in NAMES
-    )
     found = []
     for path in sorted((root / package).rglob("*.py")):
-        text = path.read_text(encoding="utf-8")
-        for hit in re.finditer(listed, text):
-            found.append(f"{path.relative_to(root)}:{text.count(chr(10), 0, hit.start()) + 1}")
+        lines = listing(path.read_text(encoding="utf-8"))
+        found += [f"{path.relative_to(root)}:{line}" for line in lines]
     assert not found
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'a = ("wrench", "rates", "reference")',
+        'a = {"reference": (), "wrench": (1, 2), "rates": [3]}',
+        'if action in {"wrench", "rates", "reference"}:\n    pass',
+    ],
+)
+def test_a_list_is_noticed(text: str) -> None:
+    assert listing(text) == [1]
+
+
+def test_the_type_of_an_option_is_none() -> None:
+    assert listing('a: Literal["wrench", "rates", "reference"] = "wrench"') == []

@@ -9,7 +9,7 @@ import pytest
 from episodes import gentle
 from states import counters, outcome
 
-from formation_env import Limits, Vehicle, configure, trajectories
+from formation_env import Limits, Noise, Vehicle, configure, trajectories
 from formation_env.core.arrays import by_world
 from formation_env.core.simulation import Simulation
 from formation_env.physics.quadrotor import GRAVITY
@@ -18,6 +18,7 @@ HOVER = trajectories.hover()
 STILL: dict[str, Any] = {"trajectory": HOVER, "start_offset": 0.0}
 FREE = Limits(collision=1e-3, impact=1.0, tilt=0.5, lost=1e3)
 H = 0.02  # s, control period
+NOISE = Noise(0.02, 0.03, 0.04, 0.01, 0.02)
 
 
 def begin(worlds: int = 1, scenario: str = "nominal", **options: Any) -> Simulation:
@@ -300,6 +301,43 @@ def test_only_masked_worlds_are_touched() -> None:
         np.testing.assert_array_equal(new[~mask], old[~mask])
     (ticks,) = counters(after["counters"])["tick"][:, :5]
     np.testing.assert_array_equal(ticks, np.where(mask, 0, 7))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"noise": NOISE},
+        {"noise": NOISE, "measurement_delay": 2},
+        {"estimator": "differenced", "noise": NOISE, "gust": 0.5, "action": "reference"},
+    ],
+    ids=["exact", "noisy", "late", "differenced in gusts"],
+)
+def test_a_step_leaves_the_other_worlds_as_they_are(options: dict[str, Any]) -> None:
+    """Lanes that stand still are computed with the others: state and measurement are put back."""
+    world = begin(5, **options)
+    push(world, 0.01, 7)
+    mask = np.array([False, True, False, False, True])
+    before, shown = world.get_state().state, world.look().observations
+    k, n = world.config.action_size, world.config.followers
+    results = world.step(np.full((5, n, k), 0.02, np.float32), mask=mask)
+    after = world.get_state().state
+    for name, array in before.items():
+        old, new = array, after[name]
+        if len(array) == 1:
+            old, new = by_world(array, 5), by_world(after[name], 5)
+        np.testing.assert_array_equal(new[~mask], old[~mask], err_msg=name)
+    np.testing.assert_array_equal(results.observations[~mask], shown[~mask])
+    assert (results.observations[mask] != shown[mask]).any(axis=(1, 2)).all()
+
+
+def test_the_trigger_fires_in_worlds_that_step_alone() -> None:
+    """From the first tick on all are near enough, but a world that stands still waits for its own."""
+    world = begin(3, start="ground", trigger=1e3)
+    assert not world.started.any()
+    n, k = world.config.followers, world.config.action_size
+    world.step(np.zeros((3, n, k), np.float32), mask=np.array([True, False, True]))
+    assert world.started.tolist() == [True, False, True]
 
 
 def test_leaders_come_first() -> None:

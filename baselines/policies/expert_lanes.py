@@ -198,14 +198,14 @@ def _act(rows: Any, points: Any, lane: Any, actuation: int, world: World, action
 
 @loop
 def act_by_moment(rows: Any, points: Any, world: World, actions: Any) -> None:
-    """Actions of level WRENCH."""
+    """Actions of a level whose followers are turned by moments, `wrench`."""
     for lane in range(_LANES):
         _act(rows, points, lane, MOMENT, world, actions)
 
 
 @loop
 def act_by_rates(rows: Any, points: Any, world: World, actions: Any) -> None:
-    """Actions of level RATE."""
+    """Actions of a level whose followers are turned by rates, `rates`."""
     for lane in range(_LANES):
         _act(rows, points, lane, RATES, world, actions)
 

@@ -25,6 +25,7 @@ from baselines.system.reading import file_name, read_bytes
 from formation_env import FormationConfig, configure
 from formation_env.laws.gains import PlannerGains, TrackerGains
 from formation_env.laws.levels import NAMES as LEVEL_NAMES
+from formation_env.physics.quadrotor import MOMENT, RATES
 from formation_env.validation.checks import choice, refuse, require, shown
 from formation_env.validation.warning import warn_user
 
@@ -71,7 +72,9 @@ class Gains:
 
 def tracker_field(config: FormationConfig) -> str | None:
     """The field of the configuration with the gains of the expert's own tracker, if it has one."""
-    return {"wrench": "tracker", "rates": "rates_tracker"}.get(config.action)
+    own_tracker = {MOMENT: "tracker", RATES: "rates_tracker"}
+    actuation = config.level.actuation
+    return None if actuation is None else own_tracker[actuation]
 
 
 def own(config: FormationConfig, feedforward: str = "zero") -> Gains:

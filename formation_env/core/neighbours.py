@@ -22,7 +22,8 @@ from formation_env.memory.records import LANES, at, size
 from formation_env.memory.shuffles import carve, copy, turn_square
 from formation_env.task import Neighbour, Passing
 
-# From this many vehicles on the sweep of `nearest` is faster than trying every pair.
+# With more than this many vehicles, or followers where neighbours are sought, the sweep of `nearest` is
+# faster than trying every pair.
 CROWD = 30
 
 _SEPARATION, _NUMBER = at(Squares, "separation") * LANES, at(Candidate, "number")

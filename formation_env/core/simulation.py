@@ -1,6 +1,6 @@
 """Many worlds: threads, reset, seeding, saving.
 
-Every face steps worlds through the one compiled kernel `advance`, and the threads of a `team` are in
+Every face steps worlds through the one compiled kernel `advance`, and the threads of a `threads.Team` are in
 that same machine code, on tiles of worlds that they take one by one. A world's numbers depend on its
 key, its actions and nothing else, so they are bit for bit those of any other number of worlds or threads.
 """

@@ -127,7 +127,7 @@ def errors(f: Virtual, p_L: complex, v_L: complex, d: complex, law: PlannerLaw) 
 def in_motion(
     f: Virtual, p_L: complex, v_L: complex, a_L: complex, d: complex, law: PlannerLaw
 ) -> PlanarMotion:
-    """The leader's velocity and the errors, all in {F}, with their rates along the motion (2)-(5).
+    """The leader's velocity and the errors, all in {F}, with their rates (16) along the motion (2)-(5).
 
     Components in a frame that turns at `omega` change as `d/dt (R^T a) = -S(omega) R^T a + R^T a_dot`.
     """

@@ -28,10 +28,11 @@ REACH = 4.0  # how far a point may be from the own gains, either way: factors of
 
 PLANNER = tuple(f.name for f in fields(PlannerGains))
 # Vehicles driven by rates have no loop for `k4` and `kz` (54), (65).
-TRACKERS = {
-    "wrench": ("k1", "k2", "k3", "k4", "kz", "sigma_max", "c", "p11"),
-    "rates": ("k1", "k2", "k3", "sigma_max", "c", "p11"),
-    "reference": (),
+# By the field of the configuration, none where the environment's tracker flies the follower.
+TRACKERS: dict[str | None, tuple[str, ...]] = {
+    "tracker": ("k1", "k2", "k3", "k4", "kz", "sigma_max", "c", "p11"),
+    "rates_tracker": ("k1", "k2", "k3", "sigma_max", "c", "p11"),
+    None: (),
 }
 
 
@@ -51,7 +52,7 @@ class GainSpace:
     def __init__(self, config: FormationConfig) -> None:
         self._config = config
         self._own = own(config)
-        self._tracker = TRACKERS[config.action]
+        self._tracker = TRACKERS[tracker_field(config)]
         self.names = (*PLANNER, *(f"tracker.{name}" for name in self._tracker))
 
     def gains(self, x: NDArray[np.float64], feedforward: str) -> Gains:
