@@ -53,7 +53,7 @@ class RunOptions:
     """Print errors only: no progress bar and no summary."""
 
     # Of the class, not options themselves.
-    program: ClassVar[str]  # module that `python -m` runs
+    script: ClassVar[str]  # the console script
     without_effect: ClassVar[tuple[str, ...]]  # options that change no result
     integers: ClassVar[Ranges] = {
         "seed": (0, 2**32 - 1),
@@ -91,7 +91,7 @@ class RunOptions:
         """The command that repeats the run: with every option that is not its default, but for those
         that change no result."""
         return repeating_command(
-            self.program, self.to_json(), defaults(type(self)), self.without_effect
+            self.script, self.to_json(), defaults(type(self)), self.without_effect
         )
 
 
@@ -115,10 +115,10 @@ def _default(field: Field[Any]) -> Any:
 
 
 def repeating_command(
-    program: str, values: Mapping[str, Any], usual: Mapping[str, Any], without: tuple[str, ...]
+    script: str, values: Mapping[str, Any], usual: Mapping[str, Any], without: tuple[str, ...]
 ) -> str:
-    """`python -m program` with the `values` that are not the `usual` ones, none of those named `without`."""
-    words = ["python", "-m", program]
+    """A console script with the `values` that are not the `usual` ones, none of those named `without`."""
+    words = [script]
     for name, value in values.items():
         if name not in without and value != usual[name]:
             words += [flag(name), *map(str, value if isinstance(value, tuple) else (value,))]

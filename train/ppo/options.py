@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal
 
 from formation_env import FormationConfig, configure
 from train.options import STD, PPOOptions, Ranges
+from train.ppo import SCRIPT
 
 # Of the exploration at the start: its standard deviation with `residual`, as part of that bound, and the
 # factor on it where the actor comes from a file.
@@ -58,7 +59,7 @@ class Options(PPOOptions):
     profile: bool = False
     """Print at the end how much of the time each part of the program took."""
 
-    program: ClassVar[str] = "train.ppo"
+    script: ClassVar[str] = SCRIPT
     without_effect: ClassVar[tuple[str, ...]] = ("output", "resume", "profile", "quiet", "threads")
     free_on_resume: ClassVar[tuple[str, ...]] = (
         "steps", "minutes", "resume", "profile", "quiet", "output",

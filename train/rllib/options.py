@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from train.options import STD, PPOOptions, Ranges
+from train.rllib import SCRIPT
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class Options(PPOOptions):
     address: str | None = None
     """HOST:PORT of a Ray cluster that runs already; by default one is started for this run alone."""
 
-    program: ClassVar[str] = "train.rllib"
+    script: ClassVar[str] = SCRIPT
     without_effect: ClassVar[tuple[str, ...]] = ("output", "resume", "address", "threads", "quiet")
     free_on_resume: ClassVar[tuple[str, ...]] = (
         "steps", "minutes", "resume", "runners", "address", "threads", "quiet", "output",

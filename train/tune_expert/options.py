@@ -12,8 +12,8 @@ from formation_env import FormationConfig, configure
 from formation_env.validation.checks import integer, number, require
 from train.options import defaults, repeating_command
 from train.seeds import MOST_TUNING_EPISODES
+from train.tune_expert import SCRIPT
 
-PROGRAM = "train.tune_expert"
 # Options that may differ where a search is continued.
 FREE_ON_RESUME = ("resume", "threads", "quiet", "output", "gains", "evaluations")
 
@@ -83,5 +83,5 @@ class Options:
     def command(self) -> str:
         """The command that repeats the result, without the options that do not change it."""
         return repeating_command(
-            PROGRAM, asdict(self), defaults(Options), ("resume", "threads", "quiet", "output")
+            SCRIPT, asdict(self), defaults(Options), ("resume", "threads", "quiet", "output")
         )
