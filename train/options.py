@@ -19,6 +19,10 @@ from train.command_line import flag, refuse
 
 Ranges = Mapping[str, tuple[float, float]]  # least and largest value of an option, by name
 
+# The names of the action levels, of which help lists the choices. Type checkers do not compute a type, so it
+# is written out; `tests/test_level_lists.py` holds it to the table.
+ActionLevel = Literal["wrench", "rates", "reference"]
+
 # Standard deviation of the exploration at the start, by action level, in units of the largest action:
 # about how far apart the actions are that matter.
 STD = {level.name: level.exploration for level in LEVELS}
@@ -35,8 +39,8 @@ class RunOptions:
     """Folder for the best policy and the log; made if it is not there."""
     scenario: str = "nominal"
     """Name of the scenario that is trained on: nominal, paper, experiment, agile or swarm."""
-    action: Literal["wrench", "rates", "reference"] | None = None
-    """Action level: wrench, rates or reference; by default the scenario's own."""
+    action: ActionLevel | None = None
+    """Action level; by default the scenario's own."""
     seed: int = 0
     """Seed of all random numbers: initial weights, episodes, exploration, order of the samples."""
     hidden: tuple[int, ...] = (64, 64)
@@ -164,7 +168,7 @@ class PPOOptions(RunOptions):
     """Largest norm of a gradient; a larger one is scaled down to it."""
     std: float | None = None
     """Standard deviation of the actions at the start, in units of the largest action.
-    By default 0.05 at action levels wrench and rates, and 0.3 at reference."""
+    By default that of the action level, `exploration` in formation_env/laws/levels.py."""
 
     evaluate_every: int = 1_000_000
     """Number of agent steps between two evaluations."""

@@ -25,7 +25,8 @@ class Options(PPOOptions):
     Of those given here only steps, minutes, profile and quiet count."""
     std: float | None = None
     """Standard deviation of the actions at the start, in units of the largest action.
-    By default 0.05 at action levels wrench and rates and 0.3 at reference, or 0.3 of a residual's bound.
+    By default that of the action level, `exploration` in formation_env/laws/levels.py, or 0.3 of a
+    residual's bound.
     With --init a fifth of that."""
     hidden: tuple[int, ...] = (64, 64)
     """Widths of the hidden layers, from input to output; with --init those of the file."""

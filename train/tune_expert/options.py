@@ -29,7 +29,7 @@ class Options:
     scenario: str = "nominal"
     """Name of the scenario that gains are searched for: nominal, paper, experiment, agile or swarm."""
     action: str | None = None
-    """Action level: wrench, rates or reference; by default the scenario's own."""
+    """Name of an action level; by default the scenario's own."""
     feedforward: str = "both"
     """How the third and fourth derivatives of the reference are taken: zero, derived, or both tried."""
     episodes: int = 64
