@@ -171,6 +171,14 @@ CORE = [
     Mutant("judging", "if active else counters.over", "if active else 0"),
     Mutant("judging", "tally.reward / followers, ended, late", "tally.reward, ended, late"),
     Mutant("judging", "tally.reward / followers, ended, late", "tally.reward / followers, late, ended"),
+    # What a tick and the start of an episode hand to the laws.
+    Mutant("moving", "aligned = clock.sample_every % clock.substeps == 0", "aligned = True"),
+    Mutant("moving", "copy(in_hand(memory, room, t, 0), _VELOCITY", "copy(leader, _VELOCITY"),
+    Mutant("moving", "copy(leader, _VELOCITY", "copy(in_hand(memory, room, t, 0), _VELOCITY"),
+    Mutant("tick", "active, float(n), limits", "active, float(n + 1), limits"),
+    Mutant("episodes", "corrupt(exact, noise, key, i, 0)", "corrupt(exact, noise, key, 0, 0)"),
+    Mutant("episodes", "near(target, key, i + 1, world)", "near(target, key, i, world)"),
+    Mutant("episodes", "leader, begin.a, key)", "leader, ZERO, key)"),
     # Measurements: which is in hand, when one is due, where it goes, what differences make of it.
     Mutant("measuring", "if arrays.delays(memory) == 1: return", "if arrays.delays(memory) >= 1: return"),
     Mutant("measuring", "if arrays.delays(memory) == 0: return", "if arrays.delays(memory) == 9: return"),
