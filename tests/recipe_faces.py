@@ -11,6 +11,7 @@ import json
 import re
 import sys
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import gymnasium as gym
@@ -21,6 +22,7 @@ import formation_env
 from baselines import make_policy
 from formation_env import FormationConfig, configure, formation_v0
 from formation_env.env import FormationEnv
+from formation_env.paths.references import by_name
 from train.scales import fixed_scales
 
 Array = Any
@@ -194,10 +196,10 @@ def trajectory_family() -> None:
     np.testing.assert_allclose(np.linalg.norm(v, axis=1), 4.0 * 0.3 * np.exp(-0.3 * 0.5), rtol=1e-3)
     path = configure(**task).trajectory
     times = np.linspace(0.0, 10.0, 2001)
-    points = path(times)
-    for order in range(4):
-        slope = np.gradient(points[:, order], times, axis=0)
-        np.testing.assert_allclose(slope[1:-1], points[1:-1, order + 1], atol=1e-5)
+    flown = list(by_name(path(times)).values())
+    for function, derivative in pairwise(flown):
+        slope = np.gradient(function, times, axis=0)
+        np.testing.assert_allclose(slope[1:-1], derivative[1:-1], atol=1e-5)
     assert path.to_dict()["kind"] == "approach"
     goes_round(**task)
     refused("rate = -1", trajectory={"path": "approach", "rate": -1.0})

@@ -13,6 +13,7 @@ from states import outcome
 from formation_env import configure, scenarios
 from formation_env.core.simulation import Simulation
 from formation_env.env import FormationEnv
+from formation_env.paths.references import by_name
 from formation_env.trajectories import Trajectory
 
 
@@ -60,7 +61,7 @@ def test_nominal_is_the_papers_pair_on_31() -> None:
     assert config.offsets == ((0.35, 0.35, -0.3), (0.35, -0.35, -0.3))
     t = np.linspace(0.0, 20.0, 50)
     expected = np.stack([2 * np.cos(0.25 * t), np.sin(0.5 * t), np.full(50, -1.5)], axis=1)
-    np.testing.assert_allclose(config.trajectory(t)[:, 0], expected, atol=1e-12)
+    np.testing.assert_allclose(by_name(config.trajectory(t))["p"], expected, atol=1e-12)
     assert max(config.noise) == 0.0
     assert (config.control_period, config.substeps, config.duration) == (0.02, 4, 20.0)
 
@@ -91,7 +92,7 @@ def test_experiment_is_section_iv() -> None:
     assert clock.sample_every * clock.period / clock.substeps == pytest.approx(1.0 / 50.0)
     assert clock.window == 100
     assert config.action == config.leader_actuation == config.reference_actuation == "rates"
-    speed = np.linalg.norm(config.trajectory(np.linspace(0, 30, 200))[:, 1], axis=1)
+    speed = np.linalg.norm(by_name(config.trajectory(np.linspace(0, 30, 200)))["v"], axis=1)
     np.testing.assert_allclose(speed, 0.5, rtol=1e-9)  # (70) as corrected
 
 

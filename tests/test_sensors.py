@@ -19,6 +19,7 @@ from formation_env.core.flight import sense_exactly
 from formation_env.core.measuring import measure_with_noise
 from formation_env.core.simulation import Simulation
 from formation_env.memory.records import LANES, size
+from formation_env.paths.references import by_name
 from formation_env.physics.quadrotor import GRAVITY, Wrench
 from formation_env.physics.sensors import Measured, angular_difference, corrupt
 from formation_env.scenarios import PAPER_NOISE
@@ -252,8 +253,8 @@ def test_leader_acceleration_is_a_moving_average_a_second_late() -> None:
     np.testing.assert_allclose(told, average.T[1:], atol=1e-5)
     t = 0.02 * np.arange(1, 601)
     late = t > 2.0
-    true = world.config.trajectory(t)[:, 2]
-    a_second_ago = world.config.trajectory(t - 1.0)[:, 2]
+    true = by_name(world.config.trajectory(t))["a"]
+    a_second_ago = by_name(world.config.trajectory(t - 1.0))["a"]
     error = np.linalg.norm(told - a_second_ago, axis=1)[late].max()
     assert error < 0.35 * np.linalg.norm(told - true, axis=1)[late].max()
 

@@ -47,6 +47,11 @@ class TrajectoryPoint(NamedTuple):
     s: Vector  # m/s^4
 
 
+def by_name(points: Floats) -> dict[str, Floats]:
+    """The fields of `TrajectoryPoint` as views `(..., 3)` of what a trajectory returns, `(..., 5, 3)`."""
+    return {name: points[..., k, :] for k, name in enumerate(TrajectoryPoint._fields)}
+
+
 def _length(name: str, table: Floats, wanted: int, what: str) -> None:
     """Refuse a table of another length than its first entry says."""
     if len(table) != wanted:
