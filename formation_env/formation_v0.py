@@ -223,8 +223,8 @@ class FormationParallelEnv(Fixed, ParallelEnv[str, Array, Array]):
         return observations, rewards, infos
 
     def state(self) -> Array:
-        """The truth, float32 within `state_space`: per vehicle, leader first, `p, v, q, omega` (13); per
-        follower its slot (3); 1 if the trigger has fired; inertial frame, SI units.
+        """The truth, float32 within `state_space`: per vehicle, leader first, `p, v, q, omega`; per follower
+        its slot; 1 if the trigger has fired; inertial frame, SI units.
 
         Raises `ResetNeeded` before the first reset.
         """

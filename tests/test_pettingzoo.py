@@ -24,6 +24,8 @@ from pettingzoo.test import (
 from formation_env import formation_v0, trajectories
 from formation_env.env import FormationEnv
 from formation_env.formation_v0 import FormationParallelEnv
+from formation_env.memory.records import size
+from formation_env.physics.quadrotor import Body
 from formation_env.task import Terms
 
 needs_pygame = pytest.mark.skipif(
@@ -102,13 +104,12 @@ def test_state_is_the_truth(scenario: str) -> None:
     for row in wild(15, *shape(env)):
         state, world = env.state(), env.simulation
         assert state in env.state_space
-        vehicles = state[: 13 * (n + 1)].reshape(n + 1, 13)
+        vehicles, slots = np.split(state[:-1], [size(Body) * (n + 1)])
         parts = (world.positions, world.velocities, world.attitudes, world.angular_velocities)
         truth = np.concatenate([part[0] for part in parts], axis=1)
-        np.testing.assert_array_equal(vehicles, truth.astype(np.float32))
-        slots = state[13 * (n + 1) : -1].reshape(n, 3)
+        np.testing.assert_array_equal(vehicles.reshape(n + 1, -1), truth.astype(np.float32))
         expected = [infos[agent]["slot"] for agent in env.possible_agents]
-        np.testing.assert_array_equal(slots, np.array(expected, np.float32))
+        np.testing.assert_array_equal(slots.reshape(n, -1), np.array(expected, np.float32))
         assert state[-1] == (env.config.start == "formation")
         _, _, ended, _, infos = env.step(acts(env, row))
         if any(ended.values()):
