@@ -81,7 +81,7 @@ class FormationParallelEnv(Fixed, ParallelEnv[str, Array, Array]):
             (agent, (0, i), (0, i, COLUMNS["slot"]), (0, i, COLUMNS["slot_error"]))
             for i, agent in enumerate(self.possible_agents)
         ]
-        self._everyone = frozenset(self.possible_agents)
+        self._all_agents = frozenset(self.possible_agents)
         self._shape = (self.config.action_size,)
         self._actions = np.zeros((1, n, *self._shape), dtype=np.float32)
         self._simulation = Simulation(self.config)
@@ -180,7 +180,7 @@ class FormationParallelEnv(Fixed, ParallelEnv[str, Array, Array]):
 
     def _read(self, actions: dict[str, Array]) -> Array:
         """The actions in the agents' order, in memory that the next call writes again."""
-        if not isinstance(actions, dict) or actions.keys() != self._everyone:
+        if not isinstance(actions, dict) or actions.keys() != self._all_agents:
             found = list(actions) if isinstance(actions, dict) else type(actions).__name__
             raise ValueError(
                 f"actions for {shown(found)}: expected one for each of {shown(self.agents)}"

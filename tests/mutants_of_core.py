@@ -220,7 +220,7 @@ CORE = [
     Mutant("neighbours", "if i >= 0: arrays.squares", "if i >= 1: arrays.squares"),
     Mutant("neighbours", "[_SEPARATION + lane] = found_square(seekers, k, 0)",
            "[_SEPARATION + lane] = found_square(seekers, 0, 0)"),
-    Mutant("neighbours", "if m <= CROWD or K == 0", "if K == 0"),
+    Mutant("neighbours", "if m <= MOST_PAIRWISE or K == 0", "if K == 0"),
     Mutant("neighbours", "put_down(in_hand(memory, room, t, i + 1), i, m, room)",
            "put_down(arrays.vehicle(memory, t, i + 1), i, m, room)"),
     Mutant("neighbours", "[lane] = found_number(seekers, k, rank)", "[lane] = found_number(seekers, k, 0)"),
@@ -235,7 +235,7 @@ CORE = [
     Mutant("neighbours", "rank * _NEIGHBOUR * LANES, (", "0 * _NEIGHBOUR * LANES, ("),
     Mutant("neighbours", "len(rows) - K * _NEIGHBOUR * LANES", "0 * K"),
     Mutant("neighbours", "in_hand(memory, room, t, 2 - i)", "in_hand(memory, room, t, 1 + i)"),
-    Mutant("neighbours", "elif n > CROWD: fetch", "elif n < CROWD: fetch"),
+    Mutant("neighbours", "elif n > MOST_PAIRWISE: fetch", "elif n < MOST_PAIRWISE: fetch"),
     # The search among many points.
     Mutant("nearest", "ends[cell + 1] += 1", "ends[cell] += 1"),
     Mutant("nearest", "ends[cells[i]] += 1", "ends[cells[i]] += 0"),

@@ -18,7 +18,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.files import located as told
+from baselines.files import located
 from baselines.policies.base import Policy, Rows
 from baselines.policies.expert import Expert
 from baselines.system.reading import file_name, read_bytes
@@ -115,12 +115,12 @@ def read(path: str | os.PathLike[str] = GAINS) -> Table:
             for action, entry in _object(actions, scenario).items()
         }
     except OSError as problem:
-        raise ValueError(told(path, f"{problem.strerror}; expected a file of gains")) from None
+        raise ValueError(located(path, f"{problem.strerror}; expected a file of gains")) from None
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as problem:
         reason = "nested too deep" if isinstance(problem, RecursionError) else problem
-        raise ValueError(told(path, f"{reason}; expected JSON")) from None
+        raise ValueError(located(path, f"{reason}; expected JSON")) from None
     except ValueError as problem:
-        raise ValueError(told(path, problem)) from None
+        raise ValueError(located(path, problem)) from None
 
 
 def _named_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

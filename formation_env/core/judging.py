@@ -310,8 +310,8 @@ conclude = over_lanes(
 )
 
 
-class Known(NamedTuple):
-    """A part of a follower's rows: what it knows of itself."""
+class EstimateAndPrevious(NamedTuple):
+    """A part of a follower's rows: the heading that it estimates, its last action."""
 
     estimate: complex
     previous: Action
@@ -319,7 +319,7 @@ class Known(NamedTuple):
 
 @device
 def observed(
-    started: bool, x: Known, leader: Measured, begin: Vector, own: Measured, d: Vector
+    started: bool, x: EstimateAndPrevious, leader: Measured, begin: Vector, own: Measured, d: Vector
 ) -> Observation:
     """A follower's observation without what its level adds and its neighbours."""
     anchor = pick_vector(started, leader.p, begin)

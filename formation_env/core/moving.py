@@ -16,7 +16,7 @@ from formation_env.core.measuring import (
     measure_when_due,
     measure_with_noise,
 )
-from formation_env.core.neighbours import CROWD
+from formation_env.core.neighbours import MOST_PAIRWISE
 from formation_env.laws.levels import command_follower
 from formation_env.laws.world import disturbed, hold_at, next_states, pushed
 from formation_env.maths.so3 import ZERO, Vector
@@ -213,7 +213,7 @@ def fetch_next(memory: Any, room: Any, t: int, i: int) -> None:
     That is where its results go in this tile, and its state in the next one.
     """
     n = arrays.vehicles(memory) - 1
-    if n >= CROWD or arrays.tile_count(memory) <= _FETCHED:
+    if n >= MOST_PAIRWISE or arrays.tile_count(memory) <= _FETCHED:
         return
     if i < n and not streamed(memory):
         entries, first = arrays.entries(memory), (t * n + i) * LANES

@@ -79,7 +79,7 @@ class Simulation:
         self._memory = arrays.allocate(config, num_worlds, self._max_steps, _references(config))
         self._open()
         self._rooms = [arrays.room(self._memory) for _ in range(self._threads)]
-        self._everyone = np.ones(num_worlds, dtype=np.bool_)
+        self._all_worlds = np.ones(num_worlds, dtype=np.bool_)
         self._team: Team | None = None
         self._begun = False
         self._alone = Exclusive()
@@ -165,7 +165,7 @@ class Simulation:
         return np.array(mask)
 
     def _run(self, mode: int, actions: NDArray[np.float32], mask: Any) -> Results:
-        mask = self._everyone if mask is None else self._mask(mask)
+        mask = self._all_worlds if mask is None else self._mask(mask)
         alone = self._alone
         if not alone.acquire(False):
             alone.take_over()

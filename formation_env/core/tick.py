@@ -49,7 +49,7 @@ from formation_env.core.moving import (
     turn_headings,
 )
 from formation_env.core.neighbours import (
-    CROWD,
+    MOST_PAIRWISE,
     approach_others,
     find_neighbours_of_many,
     separate_many,
@@ -176,7 +176,7 @@ def begin_rows(memory: Any, t: int, standing: int, leader: Any) -> Any:
 @step
 def locate(memory: Any, room: Any, t: int, here: int) -> int:
     """Slots, slot errors and squared separations; returns how many lanes wait for their start."""
-    many = arrays.vehicles(memory) > CROWD
+    many = arrays.vehicles(memory) > MOST_PAIRWISE
     standing = flight.note_started(arrays.counters(memory, t), arrays.started(room))
     leader = arrays.vehicle(memory, t, 0)
     begin = begin_rows(memory, t, standing, leader)
