@@ -71,7 +71,7 @@ CORE = [
     Mutant("shuffles", "np.uint64(first + row) * _LANES", "np.uint64(row) * _LANES"),
     Mutant("shuffles", "row[k] = 0.0", "row[k] *= 0.0"),
     Mutant("shuffles", "count += abs(numbers[k]) < np.inf", "count += numbers[k] < np.inf"),
-    Mutant("shuffles", "a + lane * step]), -1.0), 1.0)", "a + lane * step]), -1.0), 2.0)"),
+    Mutant("shuffles", "return min(max(a, -1.0), 1.0)", "return min(max(a, -1.0), 2.0)"),
     Mutant("shuffles", "b, step = np.uint64(first), np.uint64(row) * _LANES",
            "b, step = np.uint64(first), np.uint64(row)"),
     Mutant("shuffles", "actions[a + lane * step]", "actions[a + lane]"),

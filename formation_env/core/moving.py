@@ -23,6 +23,7 @@ from formation_env.maths.so3 import ZERO, Vector
 from formation_env.memory.records import LANES, at, line_storer, loader, size, storer
 from formation_env.memory.shuffles import (
     carve,
+    clipped,
     copy,
     fetch,
     gather,
@@ -81,7 +82,7 @@ def take_actions(memory: Any, room: Any, t: int, here: int) -> None:
             else:
                 for lane in range(here):
                     a = np.float64(actions[first + k + lane * stride])
-                    executed[k * LANES + lane] = min(max(a, -1.0), 1.0)
+                    executed[k * LANES + lane] = clipped(a)
 
 
 @cold
