@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from formation_env import FormationConfig, configure
+from train.command_line import SCRIPTS
 from train.options import STD, PPOOptions, Ranges
-from train.ppo import SCRIPT
 
 # Of the exploration at the start: its standard deviation with `residual`, as part of that bound, and the
 # factor on it where the actor comes from a file.
@@ -60,7 +60,7 @@ class Options(PPOOptions):
     profile: bool = False
     """Print at the end how much of the time each part of the program took."""
 
-    script: ClassVar[str] = SCRIPT
+    script: ClassVar[str] = SCRIPTS["train.ppo"]
     without_effect: ClassVar[tuple[str, ...]] = ("output", "resume", "profile", "quiet", "threads")
     free_on_resume: ClassVar[tuple[str, ...]] = (
         "steps", "minutes", "resume", "profile", "quiet", "output",

@@ -16,9 +16,8 @@ from baselines.system.reading import read_bytes
 from baselines.system.writing import write_text
 from formation_env import FormationConfig
 from train.seeds import TUNING_SEEDS
-from train.tune_expert import SCRIPT
 from train.tune_expert.gain_space import GainSpace
-from train.tune_expert.options import FREE_ON_RESUME, Options
+from train.tune_expert.options import FREE_ON_RESUME, SCRIPT, Options
 from train.tune_expert.search import Candidate
 
 _WRITING_INTERVAL = 5.0  # s, at least, between two writings of the file

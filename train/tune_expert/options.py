@@ -10,10 +10,11 @@ from typing import final
 from baselines.policies.tuned import FEEDFORWARDS
 from formation_env import FormationConfig, configure
 from formation_env.validation.checks import integer, number, require
+from train.command_line import SCRIPTS
 from train.options import defaults, repeating_command
 from train.seeds import MOST_TUNING_EPISODES
-from train.tune_expert import SCRIPT
 
+SCRIPT = SCRIPTS["train.tune_expert"]
 # Options that may differ where a search is continued.
 FREE_ON_RESUME = ("resume", "threads", "quiet", "output", "gains", "evaluations")
 
