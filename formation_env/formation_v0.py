@@ -36,8 +36,7 @@ class FormationParallelEnv(Fixed, ParallelEnv[str, Array, Array]):
     episode is over there are no agents, and `step({})` returns five empty dictionaries.
 
     `info` has for each agent `slot` and `slot_error` (3 numbers each, m, inertial) and as numbers
-    `separation` (m), `failure` and the terms `reward_formation`, `reward_effort`, `reward_smoothness`,
-    `reward_failure` of its reward, as `FormationEnv` describes them.
+    `separation` (m), `failure` and the terms `reward_...` of its reward, as `FormationEnv` describes them.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012

@@ -23,6 +23,7 @@ from formation_env import (
     trajectories,
 )
 from formation_env.configuration.leader_path import FlightWarning
+from formation_env.memory.records import notes
 
 
 def spread(low: float, high: float) -> st.SearchStrategy[float]:
@@ -37,6 +38,15 @@ def three(low: float, high: float) -> st.SearchStrategy[tuple[float, ...]]:
 
 def or_zero(high: float) -> st.SearchStrategy[float]:
     return st.just(0.0) | spread(1e-6, high)
+
+
+def within(kind: Any) -> st.SearchStrategy[Any]:
+    """A record of numbers, each between the bounds of its field."""
+    fields = {
+        name: spread(to.low, to.high) if to.low > 0.0 else or_zero(to.high)
+        for name, to in notes(kind).items()
+    }
+    return st.builds(kind, **fields)
 
 
 def _vehicle(mass: float, J: float, lift: float | None, **options: Any) -> Vehicle:
@@ -111,9 +121,7 @@ FIELDS: dict[str, st.SearchStrategy[Any]] = {
     "measurement_delay": st.integers(0, 5) | st.just(np.uint8(2)),
     "estimator": st.sampled_from(("direct", "differenced")),
     "window": st.integers(1, 200),
-    "noise": st.builds(
-        Noise, or_zero(1e3), or_zero(100.0), or_zero(100.0), or_zero(3.14), or_zero(100.0)
-    ),
+    "noise": within(Noise),
     "gust": or_zero(100.0),
     "gust_time": spread(1e-300, 1e300),
     "vehicle": VEHICLES,
@@ -123,7 +131,7 @@ FIELDS: dict[str, st.SearchStrategy[Any]] = {
     "planner": PLANNERS,
     "tracker": TRACKERS,
     "rates_tracker": TRACKERS,
-    "reward": st.builds(Rewards, spread(1e-6, 1e6), or_zero(1e6), or_zero(1e6), or_zero(1e6)),
+    "reward": within(Rewards),
     "limits": st.builds(
         Limits, spread(1e-6, 0.15), spread(1e-6, 1e4), st.floats(-1.0, 1.0), spread(0.5, 1e4)
     ),

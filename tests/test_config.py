@@ -174,6 +174,8 @@ def numbered(template: Any, start: int = 1) -> tuple[Any, int]:
             values.append(value)
         kind = type(template)
         return (kind(*values) if hasattr(kind, "_fields") else kind(values)), start
+    if isinstance(template, complex):
+        return complex(start, start + 1), start + 2
     return type(template)(start), start + 1
 
 

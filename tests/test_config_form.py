@@ -135,9 +135,8 @@ def test_a_dictionary_starts_from_the_scenario_that_it_names() -> None:
     assert config == expected
     assert configure({}) == configure()
     assert configure({"duration": 5.0}) == configure(duration=5.0)
-    assert configure({"noise": [0.1] * 5}, duration=5.0) == configure(
-        noise=Noise(*[0.1] * 5), duration=5.0
-    )
+    each = [0.1] * len(Noise._fields)
+    assert configure({"noise": each}, duration=5.0) == configure(noise=Noise(*each), duration=5.0)
     both = configure({"scenario": "paper", "noise": {"velocity": 0.3}}, noise={"position": 0.1})
     assert both.noise == configure("paper").noise._replace(position=0.1, velocity=0.3)
     assert configure({"scenario": "paper"}, followers=3) == configure("paper", followers=3)
@@ -149,13 +148,14 @@ def test_a_thrust_that_follows_the_mass_follows_it() -> None:
 
 
 def test_lists_are_as_good_as_tuples() -> None:
+    numbers = [0.1 * (k + 1) for k in range(len(Noise._fields))]
     given: dict[str, Any] = {
-        "noise": [0.1, 0.2, 0.3, 0.4, 0.5],
-        "reward": np.array([0.3, 0.05, 0.05, 10.0]),
-        "limits": (0.2, 1.0, 0.5, 10.0),
+        "noise": numbers,
+        "reward": np.array(Rewards()),
+        "limits": tuple(Limits()),
     }
     config = configure(**given)
-    assert config.noise == Noise(0.1, 0.2, 0.3, 0.4, 0.5)
+    assert config.noise == Noise(*numbers)
     assert type(config.reward) is Rewards
     assert type(config.limits) is Limits
 

@@ -229,7 +229,8 @@ actions = st.tuples(*[st.floats(-1.0, 1.0, allow_subnormal=False)] * 4)
 def test_reward_is_bounded_and_best_when_exact_and_calm(
     error: float, a: Any, before: Any, failed: bool
 ) -> None:
-    weights = Rewards(scale=0.3, effort=0.05, smoothness=0.05, failure=10.0)
+    none = Rewards(*[0.0] * len(Rewards._fields))
+    weights = none._replace(scale=0.3, effort=0.05, smoothness=0.05, failure=10.0)
     terms = reward(error, a, before, 4, failed, weights)
     assert 0.0 < terms.formation <= 1.0
     assert -0.05 <= terms.effort <= 0.0

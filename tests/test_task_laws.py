@@ -136,7 +136,8 @@ def test_the_reward_is_what_its_docstring_says(
 @pytest.mark.parametrize(("error", "formation"), [(0.0, 1.0), (0.3, 0.5), (inf, 0.0), (nan, 0.0)])
 def test_the_formation_term_at_its_ends(error: float, formation: float) -> None:
     calm = (0.0, 0.0, 0.0, 0.0)
-    assert task.reward(error, calm, calm, 4, False, WEIGHTS) == (formation, 0.0, 0.0, 0.0)
+    terms = task.reward(error, calm, calm, 4, False, WEIGHTS)
+    assert (terms.formation, terms.effort, terms.smoothness, terms.failure) == (formation, 0, 0, 0)
 
 
 # -- the layout -----------------------------------------------------------------------------------------
