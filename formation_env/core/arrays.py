@@ -19,6 +19,7 @@ from formation_env.maths.rng import philox
 from formation_env.memory.records import LANES, flatten, line_loader, part_loader, size, slices
 from formation_env.memory.shuffles import carve
 from formation_env.memory.store import Floats, Store, size_reader
+from formation_env.paths.course import Course
 from formation_env.physics.disturbances import DISTURBANCES, States
 from formation_env.physics.quadrotor import Wrench
 from formation_env.physics.sensors import Measured, silent
@@ -69,6 +70,7 @@ class Counters(NamedTuple):
     clock: int  # ticks since then
     episode: int  # its number, -1 before the first
     over: int  # whether the episode has ended, or none has begun
+    first: int  # tick of the leader's path that the episode began with
 
 
 class Touch(NamedTuple):
@@ -118,7 +120,8 @@ rewards = _field("rewards", lambda z: (size(Rewards),))
 limits = _field("limits", lambda z: (size(Limits),))
 bound_of_turning = _field("bound_of_turning", lambda z: (size(Turning),))
 offset = _field("offsets", lambda z: (z.vehicles - 1, 3))  # d, m
-# m, where vehicles stand on the ground; leader first
+# m, where vehicles stand on the ground, leader first: inertial, or where the path's course is drawn in the
+# frame of its first point and direction
 start = _field("starts", lambda z: (z.vehicles, 3))
 drawing = _field("drawing", lambda z: (z.drawing,))  # bounds of a random trajectory
 references = _field("references", lambda z: (z.references * LINE,))  # the leader's, tick by tick
@@ -131,6 +134,7 @@ follower = _field("followers", lambda z: (z.tiles, z.vehicles - 1, z.follower_ro
 # m/s, the leader's last measured velocities
 speed = _field("speeds", lambda z: (z.worlds, z.window, 3))
 begin = _field("begins", lambda z: (z.tiles, 3 * LANES))  # m, the leader's first reference point
+course = _field("courses", lambda z: (z.tiles, size(Course) * LANES))
 table = _field("tables", lambda z: (z.tables, z.table))  # of the leader's trajectory
 counters = _field("counters", lambda z: (z.tiles, size(Counters) * LANES), np.int64)
 key = _field("keys", lambda z: (z.tiles, LANES), np.uint64)  # of the random stream
@@ -209,7 +213,7 @@ read_world = line_loader(World)
 read_clock, read_airframe, read_noise = (
     part_loader(World, name) for name in ("clock", "airframe", "noise")
 )
-read_trigger = part_loader(World, "trigger")
+read_trigger, read_courses = part_loader(World, "trigger"), part_loader(World, "courses")
 read_leader_actuation, read_follower_actuation = (
     part_loader(World, f"{flown}_actuation") for flown in ("leader", "follower")
 )
@@ -263,8 +267,9 @@ class State(NamedTuple):
     followers: Floats  # (T, n, S L): `levels.follower_layout`
     speeds: Floats  # (W, N, 3): ring of the leader's measured velocities
     begins: Floats  # (T, 3 L): the leader's first reference point
+    courses: Floats  # (T, 3 L): `Course`, how it lies
     tables: Floats  # (W or 1, numbers): the leader's trajectory
-    counters: NDArray[np.int64]  # (T, 5 L): `Counters`
+    counters: NDArray[np.int64]  # (T, 6 L): `Counters`
     keys: NDArray[np.uint64]  # (T, L): of the streams
     episode_keys: NDArray[np.uint64]  # (T, L): of the episodes
 
@@ -315,7 +320,7 @@ def allocate(config: FormationConfig, worlds: int, max_steps: int, table_of: Flo
         flatten(config.limits),
         flatten(turning(constant.airframe, clock.period, clock.substeps)),
         config.offsets,
-        config.ground_starts(),
+        config.ground_places(),
         bounds,
         table_of.reshape(-1),
     )
@@ -328,6 +333,8 @@ def allocate(config: FormationConfig, worlds: int, max_steps: int, table_of: Flo
     # No start is waited for in the lanes without a world.
     count["started"][:, 0] = np.arange(sizes.tiles * LANES).reshape(-1, LANES) >= worlds
     # These lanes are computed all the same: with an attitude, so that nothing divides by 0.
+    course_rows = rows(views["courses"], Course)
+    course_rows["turn"][:, 0] = course_rows["side"][...] = 1.0
     for name in ("vehicles", "samples"):
         rows(views[name], Measured)["q"][..., 0, :] = 1.0
     return memory
