@@ -103,7 +103,7 @@ class FormationConfig:
     path: str = "as given"  # or "drawn": turned, mirrored and begun elsewhere in every episode
     action: str = "wrench"
     start: str = "formation"
-    start_offset: float = 0.2  # m, radius of the ball around the slot; start="formation"
+    start_offset: float = 0.15  # m, radius of the ball around the slot; start="formation"
     leader_start: Vector | None = None  # on the floor; None: under the first reference point
     follower_starts: tuple[Vector, ...] | None = None  # None: in rows behind the leader
     trigger: float = 0.25  # m, e_max of (40); start="ground"
@@ -260,6 +260,11 @@ class FormationConfig:
     def max_steps(self) -> int:
         """Control ticks in an episode."""
         return max(1, round(self.duration / self.control_period))
+
+    @property
+    def deadline_steps(self) -> int:
+        """Control ticks within which the trigger (40) has to fire."""
+        return ceil(self.limits.deadline / self.control_period - 1e-9)
 
     @cached_property
     def layout(self) -> Layout:

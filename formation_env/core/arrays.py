@@ -56,6 +56,7 @@ class Sizes(NamedTuple):
     neighbours: int
     action_size: int
     max_steps: int
+    deadline: int  # ticks within which the trigger (40) has to fire
     level: int
     vehicle_rows: int
     follower_rows: int
@@ -100,6 +101,7 @@ class Tally(NamedTuple):
 
     reward: float  # the sum
     failed: float  # whether one has: 0 or the largest index into FAILURES
+    paid: bool  # whether one has by itself
 
 
 class Verdict(NamedTuple):
@@ -150,6 +152,7 @@ named = _field("named", lambda z: (LANES,), np.bool_)  # worlds meant, of a tile
 active = _field("active", lambda z: (LANES,))  # 1 for worlds that step, else 0
 moving = _field("moving", lambda z: (LANES,))  # 1 for those whose trigger had fired before the tick
 started = _field("started", lambda z: (LANES,))  # 1 for those whose trigger has fired
+overdue = _field("overdue", lambda z: (LANES,))  # 1 for those whose trigger has not and should have
 tally = _field("tally", lambda z: (size(Tally) * LANES,))
 verdict = _field("verdict", lambda z: (size(Verdict) * LANES,))
 # m/s, the leader's in the plane, true and as measured
@@ -206,8 +209,9 @@ family, neighbours, action_size, max_steps, level = (
     size_reader(Sizes, name)
     for name in ("family", "neighbours", "action_size", "max_steps", "level")
 )
-window, vehicle_rows, follower_rows, measuring = (
-    size_reader(Sizes, name) for name in ("window", "vehicle_rows", "follower_rows", "measuring")
+window, vehicle_rows, follower_rows, measuring, deadline = (
+    size_reader(Sizes, name)
+    for name in ("window", "vehicle_rows", "follower_rows", "measuring", "deadline")
 )
 read_world = line_loader(World)
 read_clock, read_airframe, read_noise = (
@@ -307,6 +311,7 @@ def allocate(config: FormationConfig, worlds: int, max_steps: int, table_of: Flo
         neighbours=config.neighbours,
         action_size=config.action_size,
         max_steps=max_steps,
+        deadline=config.deadline_steps,
         level=constant.level,
         vehicle_rows=size(Measured) + (size(States) if disturbed else 0),
         follower_rows=size(follower_layout(state)),

@@ -10,7 +10,7 @@ from formation_env._jit import cold, step
 from formation_env.core import arrays
 from formation_env.core.arrays import Counters
 from formation_env.laws.levels import Follower, begin_level
-from formation_env.laws.slots import out_of_frame, slot
+from formation_env.laws.slots import Slot, out_of_frame, slot
 from formation_env.laws.world import near, resting, start_yaw, trimmed
 from formation_env.maths.so3 import ZERO, Vector
 from formation_env.memory.records import LANES, at, line_loader, line_storer, storer
@@ -116,8 +116,8 @@ def start_episode(memory: Any, room: Any, w: int) -> None:
             body = resting(stand(memory, i + 1, R, begin.p, world), yaw)
         else:
             target = slot(R, begin.p, begin.v, d)
-            begin_level(arrays.level(memory), x, at_lane, target)
             body = near(target, key, i + 1, world)
+            begin_level(arrays.level(memory), x, at_lane, Slot(body.p, body.v))
         place(memory, w, i + 1, body, ZERO, key)
         clear_outcome(arrays.outcome(room, i), lane)
     if w + 1 == arrays.worlds(memory):

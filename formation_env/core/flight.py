@@ -74,12 +74,13 @@ choose = over_lanes(choose_world, into=("active", "moving"), uniform=("reset",),
 
 
 @device
-def note_start(counters: Counters) -> tuple[bool, bool]:
-    """Whether an episode has started, and whether it has not, to be summed."""
-    return counters.started != 0, counters.started == 0
+def note_start(counters: Counters, deadline: int) -> tuple[bool, bool, bool]:
+    """Whether an episode has started, whether it should have, and whether it has not, to be summed."""
+    waits = counters.started == 0
+    return not waits, waits & (counters.tick >= deadline), waits
 
 
-note_started = over_lanes(note_start, into=("started",))
+note_started = over_lanes(note_start, into=("started", "overdue"), uniform=("deadline",))
 
 
 @device
