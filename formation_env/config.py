@@ -100,7 +100,7 @@ class FormationConfig:
     scenario: str = "nominal"
     offsets: tuple[Vector, ...] = ((0.35, 0.35, -0.3), (0.35, -0.35, -0.3))  # d_i
     trajectory: Trajectory = field(default_factory=figure_eight)
-    path: str = "as given"  # or "drawn": turned, mirrored and begun elsewhere in every episode
+    path: str = "drawn"  # turned, mirrored and begun elsewhere in every episode; or "as given"
     action: str = "wrench"
     start: str = "formation"
     start_offset: float = 0.15  # m, radius of the ball around the slot; start="formation"
