@@ -285,7 +285,9 @@ class FormationConfig:
     def phases(self) -> int:
         """Ticks of the leader's path, one of which an episode begins at; 0: always at its first."""
         period = self.trajectory.period
-        return 0 if self.path == "as given" or period == inf else round(period / self.control_period)
+        return (
+            0 if self.path == "as given" or period == inf else round(period / self.control_period)
+        )
 
     @property
     def span(self) -> float:
@@ -318,7 +320,8 @@ class FormationConfig:
         leader = self.leader_start or (p[0], p[1], 0.0)
         if self.follower_starts is not None:
             return (leader, *self.follower_starts)
-        grid = formations.grid(self.followers, columns=ceil(sqrt(self.followers)), plane="xy")
+        columns = ceil(sqrt(self.followers))
+        grid = formations.grid(self.followers, columns, ahead=0.7, plane="xy")
         places = [out_of_frame(R, (-float(d[0]), -float(d[1]), 0.0)) for d in grid]
         return (leader, *((leader[0] + x, leader[1] + y, 0.0) for x, y, _ in places))
 

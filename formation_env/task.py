@@ -118,7 +118,9 @@ class Rewards(NamedTuple):
 
     reach: Annotated[float, _LENGTH] = 0.3  # m, slot error at which the wide half is halved
     precision: Annotated[float, _LENGTH] = 0.05  # m, slot error at which the narrow half is
-    waiting: Annotated[float, _WEIGHT] = 0.01  # of what closeness lacks of 1 before the trigger (40)
+    waiting: Annotated[float, _WEIGHT] = (
+        0.01  # of what closeness lacks of 1 before the trigger (40)
+    )
     effort: Annotated[float, _WEIGHT] = 0.05  # weight of the mean squared action
     smoothness: Annotated[float, _WEIGHT] = 0.05  # weight of the mean squared change of action
     failure: Annotated[float, _WEIGHT] = 10.0  # paid once by every follower when one has failed
@@ -132,7 +134,9 @@ class Limits(NamedTuple):
     impact: Annotated[float, Within(0.0, ANYWHERE, strict=True)] = 1.0  # m/s, fastest touch-down
     tilt: Annotated[float, Within(-1.0, 1.0)] = 0.5  # least r3 . k at touch-down
     lost: Annotated[float, Within(0.0, ANYWHERE, strict=True)] = 10.0  # m, largest slot error
-    deadline: Annotated[float, Within(0.0, 1e9, strict=True)] = 15.0  # s, for the trigger (40) to fire
+    deadline: Annotated[float, Within(0.0, 1e9, strict=True)] = (
+        15.0  # s, for the trigger (40) to fire
+    )
 
 
 class Term(NamedTuple):
@@ -158,7 +162,9 @@ class Terms(NamedTuple):
             "m",
         ),
     ]
-    waiting: Annotated[float, Term("before the trigger: `-w` times what that lacks of 1", "waiting")]
+    waiting: Annotated[
+        float, Term("before the trigger: `-w` times what that lacks of 1", "waiting")
+    ]
     effort: Annotated[float, Term("`-w` times the mean squared action", "effort")]
     smoothness: Annotated[float, Term("`-w` times the mean squared change of action", "smoothness")]
     failure: Annotated[

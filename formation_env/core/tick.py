@@ -178,7 +178,10 @@ def locate(memory: Any, room: Any, t: int, here: int) -> int:
     """Slots, slot errors and squared separations; returns how many lanes wait for their start."""
     many = arrays.vehicles(memory) > MOST_PAIRWISE
     standing = flight.note_started(
-        arrays.counters(memory, t), arrays.deadline(memory), arrays.started(room), arrays.overdue(room)
+        arrays.counters(memory, t),
+        arrays.deadline(memory),
+        arrays.started(room),
+        arrays.overdue(room),
     )
     leader = arrays.vehicle(memory, t, 0)
     begin = begin_rows(memory, t, standing, leader)

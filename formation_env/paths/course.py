@@ -18,7 +18,9 @@ from formation_env.paths.references import TrajectoryPoint
 class Courses(NamedTuple):
     """How the paths of episodes may lie."""
 
-    drawn: int  # whether they are turned at all, and the vehicles begin with yaw angles of their own
+    drawn: (
+        int  # whether they are turned at all, and the vehicles begin with yaw angles of their own
+    )
     mirrored: int  # whether every second one is mirrored
     phases: int  # ticks, one of which a path begins at; 0: at its first
 
