@@ -37,10 +37,7 @@ LEADER = KINDS.index("leader")
 
 def deadline(config: FormationConfig) -> float:
     """Time after reset by which the trigger (40) has to fire, s; 0 where it has fired at reset."""
-    if config.start != "ground":
-        return 0.0
-    # TODO(integration): config.limits.deadline
-    return float(getattr(config.limits, "deadline", 15.0))
+    return config.limits.deadline if config.start == "ground" else 0.0
 
 
 def window_ticks(config: FormationConfig) -> int:
