@@ -31,9 +31,9 @@ class FormationParallelEnv(Fixed, ParallelEnv[str, Array, Array]):
     """Every follower is an agent, `follower_0` to `follower_{n-1}`; all act at once.
 
     Observations, actions, rewards, ends and arguments are those of `FormationEnv`, one row per agent;
-    the reward is the agent's own. The first failure ends the episode for all. `state()` is the truth
-    about the world, for centralised critics. `max_cycles` truncates earlier than the duration. Once the
-    episode is over there are no agents, and `step({})` returns five empty dictionaries.
+    the reward is the agent's own. The first failure ends the episode for all, and all pay for it. `state()`
+    is the truth about the world, for centralised critics. `max_cycles` truncates earlier than the duration.
+    Once the episode is over there are no agents, and `step({})` returns five empty dictionaries.
 
     `info` has for each agent `slot` and `slot_error` (3 numbers each, m, inertial) and as numbers
     `separation` (m), `failure` and the terms `reward_...` of its reward, as `FormationEnv` describes them.

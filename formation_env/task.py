@@ -143,8 +143,8 @@ class Term(NamedTuple):
     """What annotates a term of the reward, for the manual."""
 
     meaning: str
-    weight: str  # a field of `Rewards`
-    unit: str = ""  # of it
+    weights: str  # fields of `Rewards`, apart by spaces
+    unit: str = ""  # of each
 
 
 class Terms(NamedTuple):
@@ -158,7 +158,7 @@ class Terms(NamedTuple):
         Term(
             "after the trigger (40): `1/2 / (1 + (e / reach)^2) + 1/2 / (1 + (e / precision)^2)`, `e` "
             "the true distance to the slot",
-            "reach",
+            "reach precision",
             "m",
         ),
     ]

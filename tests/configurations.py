@@ -108,9 +108,10 @@ FIELDS: dict[str, st.SearchStrategy[Any]] = {
         )
     ),
     "trajectory": PATHS,
+    "path": st.sampled_from(("drawn", "as given")),
     "action": st.sampled_from(("wrench", "rates", "reference")),
     "start": st.sampled_from(("formation", "ground")),
-    "start_offset": st.just(0) | st.floats(0.0, 0.2),
+    "start_offset": st.just(0) | st.floats(0.0, 0.17),
     "leader_start": st.none() | st.just([0, 5, 0]) | st.just((0.0, -5.0, 0.0)),
     "follower_starts": st.none() | st.just([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]]),
     "trigger": spread(1e-6, 1e4),
@@ -133,7 +134,12 @@ FIELDS: dict[str, st.SearchStrategy[Any]] = {
     "rates_tracker": TRACKERS,
     "reward": within(Rewards),
     "limits": st.builds(
-        Limits, spread(1e-6, 0.15), spread(1e-6, 1e4), st.floats(-1.0, 1.0), spread(0.5, 1e4)
+        Limits,
+        collision=spread(1e-6, 0.15),
+        impact=spread(1e-6, 1e4),
+        tilt=st.floats(-1.0, 1.0),
+        lost=spread(0.5, 1e4),
+        deadline=spread(1e-6, 1e9),
     ),
     "neighbours": st.integers(0, 64),
 }

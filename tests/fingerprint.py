@@ -27,13 +27,15 @@ from formation_env.formation_v0 import parallel_env
 from formation_env.vector import FormationVectorEnv
 
 _NOISE = Noise(0.02, 0.03, 0.04, 0.01, 0.02)
-# The named ones, and what none of them has: gusts, late measurements, more than 30 vehicles.
+# The named ones, and what none of them has: the path as it is given, strong gusts, late measurements,
+# more than 30 vehicles.
 SCENARIOS: dict[str, dict[str, Any]] = {
     "nominal": {},
     "paper": {"scenario": "paper"},
     "experiment": {"scenario": "experiment"},
     "agile": {"scenario": "agile"},
     "swarm": {"scenario": "swarm"},
+    "as-given": {"path": "as given"},
     "gusts": {"gust": 0.5, "gust_time": 0.4, "leader_actuation": "rates"},
     "late": {"measurement_delay": 2, "noise": _NOISE, "reference_actuation": "rates"},
     "seldom": {"measurement_period": 0.03, "measurement_delay": 1, "noise": _NOISE},

@@ -97,7 +97,7 @@ def test_scenarios_go_round_without_a_warning(scenario: str, followers: int | No
     ids=lambda path: path.name,
 )
 def test_paths_go_round(path: Trajectory) -> None:
-    config = quietly(configure, trajectory=path)
+    config = quietly(configure, trajectory=path, duration=20.0)
     assert FormationConfig.from_dict(through_json(config.to_dict())).trajectory == path
 
 
@@ -125,7 +125,7 @@ def test_what_a_dictionary_leaves_out_is_the_default_of_the_constructor() -> Non
     given: dict[str, Any] = {"rates_tracker": {"k4": 0.7}, "limits": {"lost": 3.0}}
     config = quietly(FormationConfig, **given)
     assert config.rates_tracker == replace(RATES_GAINS, k4=0.7)
-    assert config.limits == Limits(0.2, 1.0, 0.5, 3.0)
+    assert config.limits == Limits(0.353, 1.0, 0.5, 3.0, 15.0)
 
 
 def test_a_dictionary_starts_from_the_scenario_that_it_names() -> None:
@@ -211,7 +211,7 @@ def test_a_whole_dictionary_with_something_unknown() -> None:
 
 
 def test_the_constructors_default_where_from_dict_finds_nothing() -> None:
-    assert FormationConfig.from_dict({}) == configure()
+    assert FormationConfig.from_dict({}) == quietly(FormationConfig)
 
 
 def test_other_objects_keep_their_own_checks() -> None:

@@ -188,15 +188,15 @@ def test_state_belongs_to_the_environment() -> None:
 
 
 def test_the_first_failure_ends_it_for_all() -> None:
-    env = formation_v0.parallel_env(trajectory=trajectories.hover(), start_offset=0.0)
+    env = formation_v0.parallel_env(trajectory=trajectories.hover(), start_offset=0.0, gust=0.0)
     env.reset(seed=0)
     falling = acts(env, np.array([[-1, 0, 0, 0], [0, 0, 0, 0]], np.float32))
     while env.agents:
         _, rewards, ended, late, infos = env.step(falling)
     assert ended == {"follower_0": True, "follower_1": True}
     assert late == {"follower_0": False, "follower_1": False}
-    assert rewards["follower_0"] < -9.0 < 0.9 < rewards["follower_1"]
     assert [infos[a]["failure"] for a in env.possible_agents] == [2, 0]
+    assert [infos[a]["reward_failure"] for a in env.possible_agents] == [-10.0, -10.0]
     for agent in env.possible_agents:
         assert rewards[agent] == pytest.approx(sum(reward_terms(infos[agent]).values()))
 

@@ -66,7 +66,7 @@ def inertial(seen: Seen, name: str) -> npt.NDArray[np.float64]:
 
 def test_noise_has_the_stated_sizes() -> None:
     """III-C's levels, every component, over many worlds that rest on the floor."""
-    world, seen = begin(configure("paper"), 4000)
+    world, seen = begin(configure("paper", path="as given"), 4000)
     p = world.positions[:, 1:]
     own_velocity = inertial(seen, "leader_velocity") - inertial(seen, "relative_velocity")
     x, z = inertial(seen, "body_x"), inertial(seen, "body_z")
@@ -223,6 +223,8 @@ ESTIMATED: dict[str, Any] = {
     "action": "rates",
     "limits": FREE,
     "start_offset": 0.0,
+    "gust": 0.0,
+    "path": "as given",
 }
 
 

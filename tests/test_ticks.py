@@ -12,11 +12,12 @@ from formation_env import Noise, trajectories
 from formation_env.core import arrays
 from formation_env.core.simulation import Simulation
 from formation_env.laws.slots import advance_heading, slot
-from formation_env.laws.world import near, trimmed
+from formation_env.laws.world import near, resting, start_yaw, trimmed
 from formation_env.memory.records import flatten
+from formation_env.paths.course import draw_course, lay_direction, lay_point
 from formation_env.physics.quadrotor import GRAVITY
 from formation_env.physics.sensors import Measured, corrupt, exact
-from formation_env.trajectories import evaluate
+from formation_env.trajectories import evaluate, start_direction
 
 NOISE = Noise(0.02, 0.05, 0.04, 0.01, 0.02)
 H = 0.02  # s, control period
@@ -47,13 +48,17 @@ def episode_key(flight: Simulation) -> Any:
 
 def test_an_episode_begins_as_the_laws_have_it_for_each_vehicle() -> None:
     """The leader flies along its reference, acceleration included; what is random is each vehicle's own."""
-    flight = begun(noise=NOISE, start_offset=0.2)
+    flight = begun(noise=NOISE)
     world, key = flight.config.world, episode_key(flight)
     family = arrays.family(flight._memory)
-    first = evaluate(family, arrays.own_table(flight._memory, 0), 0.0)
+    course, tick = draw_course(key, world.courses)
+    assert tick > 0
+    given = evaluate(family, arrays.own_table(flight._memory, 0), tick * H)
+    first = lay_point(course, given)
     assert np.linalg.norm(first.a) > 0.05, "the path begins with an acceleration"
-    leader = trimmed(first, world)
+    leader = trimmed(first, start_yaw(key, 0, world), world)
     heading = complex(*own_rows(flight, 0)["heading"])
+    assert heading == pytest.approx(complex(*first.v[:2]) / np.hypot(*first.v[:2]), abs=1e-12)
     offsets = flight.config.offsets
     for i in range(flight.config.followers + 1):
         body, a = leader, first.a
@@ -65,6 +70,29 @@ def test_an_episode_begins_as_the_laws_have_it_for_each_vehicle() -> None:
         np.testing.assert_allclose(flatten(true_state(flight, i)), flatten(expected), atol=1e-12)
         told = corrupt(expected, NOISE, key, i, 0)
         np.testing.assert_allclose(flatten(sample(flight, i)), flatten(told), atol=1e-12)
+
+
+def test_on_the_ground_vehicles_stand_relative_to_where_the_path_begins() -> None:
+    """Every one with its own yaw; the virtual follower waits at the slot of the path's first point."""
+    flight = begun(scenario="paper", action="reference", noise=Noise())
+    world, key, config = flight.config.world, episode_key(flight), flight.config
+    family, table = arrays.family(flight._memory), arrays.own_table(flight._memory, 0)
+    course, tick = draw_course(key, world.courses)
+    begin = lay_point(course, evaluate(family, table, tick * H)).p
+    R = lay_direction(course, start_direction(family, table, tick * H))
+    for i, place in enumerate(config.ground_places()):
+        apart = R * complex(*place[:2])
+        stood = (begin[0] + apart.real, begin[1] + apart.imag, 0.0)
+        expected = exact(resting(stood, start_yaw(key, i, world)), (0.0, 0.0, 0.0))
+        np.testing.assert_allclose(flatten(true_state(flight, i)), flatten(expected), atol=1e-12)
+    for i, d in enumerate(config.offsets):
+        kept = own_rows(flight, i)
+        waiting = slot(R, begin, (0.0, 0.0, 0.0), d)
+        np.testing.assert_allclose(kept["p"], waiting.p, atol=1e-12)
+        np.testing.assert_array_equal(kept["v"], 0.0)
+        assert (
+            complex(*kept["heading"]) == complex(*kept["estimate"]) == pytest.approx(R, abs=1e-12)
+        )
 
 
 # -- moving ---------------------------------------------------------------------------------------------

@@ -125,7 +125,16 @@ def directions() -> list[tuple[Trajectory, complex]]:
 
 @pytest.mark.parametrize(("curve", "expected"), directions(), ids=lambda x: getattr(x, "name", ""))
 def test_start_direction(curve: Trajectory, expected: complex) -> None:
-    assert trajectories.start_direction(curve.kind, curve.table) == pytest.approx(expected)
+    assert trajectories.start_direction(curve.kind, curve.table, 0.0) == pytest.approx(expected)
+
+
+@PROPERTY
+@given(closed_forms, st.floats(0.0, 5.0))
+def test_a_path_that_is_begun_later_leaves_along_its_velocity(curve: Trajectory, t: float) -> None:
+    vx, vy, _ = curve(t)[1]
+    if np.hypot(vx, vy) > 1e-3:
+        expected = complex(vx, vy) / np.hypot(vx, vy)
+        assert trajectories.start_direction(curve.kind, curve.table, t) == pytest.approx(expected)
 
 
 @PROPERTY

@@ -134,8 +134,9 @@ class Trajectory:
 
     @property
     def period(self) -> float:
-        """Seconds after which the path repeats itself; infinite where it does not, or is drawn."""
-        return inf if self.random is not None else FAMILIES[self.kind].period(self.table)
+        """Seconds after which the path repeats itself; infinite where it does not, ends, or is drawn."""
+        endless = self.random is None and self.duration == inf
+        return FAMILIES[self.kind].period(self.table) if endless else inf
 
     def _content(self) -> tuple[Any, ...]:
         return (self.name, self.kind, self.duration, self.random, self.table.tobytes())
