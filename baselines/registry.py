@@ -12,13 +12,15 @@ from baselines.files import SUFFIX, Card, load
 from baselines.policies.base import Policy
 from baselines.policies.expert import Expert
 from baselines.policies.learned import Learned, Misfit, require_fit
-from baselines.policies.simple import Hover, Pd, Random
+from baselines.policies.simple import Hover, Random
+from baselines.policies.textbook import Ff, FfFilter, LeeSlot, LqrSlot
 from baselines.policies.tuned import ExpertTuned
 from formation_env import FormationConfig
 from formation_env.validation.checks import require
 
 POLICIES: dict[str, type[Policy]] = {
-    policy.name: policy for policy in (Expert, ExpertTuned, Pd, Hover, Random)
+    policy.name: policy
+    for policy in (Expert, ExpertTuned, Ff, FfFilter, LeeSlot, LqrSlot, Hover, Random)
 }
 # Ways of learning, whose policies are shipped as files, one for a scenario and action level.
 METHODS = (

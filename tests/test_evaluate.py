@@ -29,13 +29,13 @@ SHORT = 4.0  # s
 @pytest.fixture(scope="module")
 def short_report() -> Report:
     configs = {name: configure(name, duration=SHORT) for name in ("nominal", "swarm")}
-    return evaluate(configs, ["expert", "random", "pd", "hover"], episodes=5, seed=7)
+    return evaluate(configs, ["expert", "random", "ff", "hover"], episodes=5, seed=7)
 
 
 # -- the numbers ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["expert", "pd", "random"])
+@pytest.mark.parametrize("name", ["expert", "ff", "random"])
 @pytest.mark.parametrize("scenario", ["nominal", "agile"])
 def test_a_rollout_is_gym_make(name: str, scenario: str) -> None:
     """World 2 of a rollout from seed 5 is the episode of `reset(seed=7)`, to the last bit.
@@ -59,7 +59,7 @@ def test_a_rollout_is_gym_make(name: str, scenario: str) -> None:
     assert ticks == config.max_steps or terminated
 
 
-@pytest.mark.parametrize("name", ["expert", "pd", "random"])
+@pytest.mark.parametrize("name", ["expert", "ff", "random"])
 def test_groups_do_not_matter(name: str) -> None:
     config = configure("paper", duration=1.0)
     whole = rollout.fly(make_policy(name, config), range(20, 27))
@@ -82,7 +82,7 @@ def test_groups_cover_every_seed_once() -> None:
 def test_threads_do_not_matter(monkeypatch: pytest.MonkeyPatch, short_report: Report) -> None:
     monkeypatch.setattr(rollout.chunks, "__defaults__", (9,))
     configs = {name: s.config for name, s in short_report.scenarios.items()}
-    other = evaluate(configs, ["expert", "random", "pd", "hover"], episodes=5, seed=7, threads=3)
+    other = evaluate(configs, ["expert", "random", "ff", "hover"], episodes=5, seed=7, threads=3)
     assert to_json(other) == to_json(short_report)
 
 
@@ -126,9 +126,9 @@ def test_scores_are_normalised(short_report: Report) -> None:
 
 def test_anchors_fly_unasked(short_report: Report) -> None:
     config = short_report.scenarios["nominal"].config
-    alone = evaluate({"nominal": config}, ["pd"], episodes=5, seed=7).scenarios["nominal"].results
-    assert list(alone) == ["pd"]
-    assert alone["pd"] == short_report.scenarios["nominal"].results["pd"]
+    alone = evaluate({"nominal": config}, ["ff"], episodes=5, seed=7).scenarios["nominal"].results
+    assert list(alone) == ["ff"]
+    assert alone["ff"] == short_report.scenarios["nominal"].results["ff"]
 
 
 # -- the command ----------------------------------------------------------------------------------
@@ -165,7 +165,7 @@ def test_scenarios_at_other_levels(tmp_path: Path) -> None:
     [
         (
             ["--policies", "expert,best"],
-            "'best': expected one of 'expert', 'expert-tuned', 'pd', 'hover', 'random'",
+            "'best': expected one of 'expert', 'expert-tuned', 'ff'",
         ),
         (["--policies", "mine.safetensors"], "mine.safetensors: cannot be read: No such file"),
         (["--policies", ""], "'': expected one of"),

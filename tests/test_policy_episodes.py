@@ -18,6 +18,7 @@ from baselines.policies.base import EpisodeWarning, Policy, Rows
 from baselines.policies.expert import Expert
 from baselines.policies.learned import Learned
 from baselines.policies.new_episodes import DOUBTFUL, NEW, Watch
+from baselines.policies.textbook import FfFilter
 from baselines.policies.tuned import ExpertTuned, own
 from formation_env import SCENARIOS, FormationConfig, configure
 from formation_env.core.simulation import Simulation, seeded_key
@@ -44,6 +45,7 @@ MAKERS: dict[str, Callable[[FormationConfig], Policy]] = {
     "expert": Expert,
     "expert-tuned": lambda config: ExpertTuned(config, own(config)),
     "history and residual": stacked,
+    "ff-filter": FfFilter,
 }
 
 
@@ -241,7 +243,7 @@ def test_another_number_of_worlds_in_flight(name: str) -> None:
 def test_policies_without_memory_look_at_nothing_but_the_observation() -> None:
     config = configure("nominal")
     single = stacked(config, history=1, residual=0.0)
-    for policy in (single, *(make_policy(name, config) for name in ("pd", "hover", "random"))):
+    for policy in (single, *(make_policy(name, config) for name in ("ff", "hover", "random"))):
         assert not policy.remembers
     for history, residual in ((2, 0.0), (1, 0.1)):
         assert stacked(config, history, residual).remembers

@@ -651,7 +651,7 @@ def test_a_mask_that_is_none(mask: Any) -> None:
         policy.restart(mask)
 
 
-@pytest.mark.parametrize("name", ["pd", "hover", "random"])
+@pytest.mark.parametrize("name", ["ff", "hover", "random"])
 def test_policies_without_memory_go_on(name: str) -> None:
     restarted, going = make_policy(name, NOMINAL), make_policy(name, NOMINAL)
     rows = looks(3)

@@ -23,7 +23,7 @@ QUICK = ["--scenarios", "nominal", "--policies", "hover", "--episodes", "2", "--
 @pytest.fixture(scope="module")
 def short_report() -> Report:
     configs = {name: configure(name, duration=SHORT) for name in ("nominal", "swarm")}
-    return evaluate(configs, ["expert", "random", "pd", "hover"], episodes=5, seed=7)
+    return evaluate(configs, ["expert", "random", "ff", "hover"], episodes=5, seed=7)
 
 
 def test_json_keeps_its_layout(short_report: Report) -> None:
@@ -67,8 +67,8 @@ def ahead(scenario: Scenario, *policies: str) -> Scenario:
 def test_policies_above_the_expert_are_explained(short_report: Report) -> None:
     nominal = short_report.scenarios["nominal"]
     assert explanations(Report(7, 5, {"nominal": nominal})) == []
-    remarks = explanations(Report(7, 5, {"nominal": ahead(nominal, "pd")}))
-    assert remarks[0] == f"{AHEAD}: on `nominal` `pd`."
+    remarks = explanations(Report(7, 5, {"nominal": ahead(nominal, "ff")}))
+    assert remarks[0] == f"{AHEAD}: on `nominal` `ff`."
     # k1 = 0.2 in the plane; s^2 + 2 s + 0.2 in height; s^2 + s' (1.5 s + 0.5), s' = 5 / sqrt(50).
     assert "-0.20 1/s (planner, plane), -0.11 1/s (planner, height)" in remarks[-1]
     assert "-0.53 1/s (tracker" in remarks[-1]
@@ -76,14 +76,14 @@ def test_policies_above_the_expert_are_explained(short_report: Report) -> None:
 
 def test_every_remark_stands_once(short_report: Report) -> None:
     """However many policies and scenarios it holds for: one sentence was printed eleven times."""
-    one = ahead(short_report.scenarios["nominal"], "pd", "random")
+    one = ahead(short_report.scenarios["nominal"], "ff", "random")
     absent = {"bc-ppo": "reason", "residual": "reason"}
     scenarios = {name: one._replace(absent=absent) for name in ("nominal", "other", "third")}
     text = " ".join(explanations(Report(7, 5, scenarios)))
     for sentence in (AHEAD, CLIMB, SLOWER, POLES, "reason", "Not flown"):
         assert text.count(sentence) == 1, sentence
     assert "Not flown on `nominal`, `other`, `third`: `bc-ppo`, `residual` (reason)." in text
-    assert f"{CLIMB}: on `nominal` `random`, `pd`; on `other` `random`" in text
+    assert f"{CLIMB}: on `nominal` `random`, `ff`; on `other` `random`" in text
     assert "since then" not in text
 
 
@@ -109,9 +109,9 @@ def test_why_a_policy_is_absent_names_no_scenario_twice() -> None:
 
 
 def elsewhere(scenario: Scenario) -> Scenario:
-    """The scenario with `pd` for a policy from a file that was trained on another one."""
+    """The scenario with `ff` for a policy from a file that was trained on another one."""
     return scenario._replace(
-        sources={"pd": Source("pd.safetensors", "ppo", "paper", "wrench", True)}
+        sources={"ff": Source("ff.safetensors", "ppo", "paper", "wrench", True)}
     )
 
 
@@ -131,7 +131,7 @@ def test_the_table_has_scores_and_failures(short_report: Report) -> None:
     lines = summary(short_report, 80).splitlines()
     assert lines[1].split() == ["policy", "nominal", "swarm"]
     assert lines[2].split() == ["expert", "1.000", "1.000"]
-    assert [line.split()[0] for line in lines[2:6]] == ["expert", "random", "pd", "hover"]
+    assert [line.split()[0] for line in lines[2:6]] == ["expert", "random", "ff", "hover"]
     failures = lines[lines.index("") + 1 :]
     assert failures[0] == "failed episodes, of 5 (none where empty)"
     assert failures[2].split() == ["random", "5", "5"]
@@ -174,9 +174,9 @@ def test_what_was_trained_elsewhere_is_in_italics(short_report: Report) -> None:
     scenarios = {name: elsewhere(s) for name, s in short_report.scenarios.items()}
     scenarios["swarm"] = short_report.scenarios["swarm"]
     result = Report(7, 5, scenarios)
-    score = short_report.scenarios["nominal"].results["pd"].score.value
+    score = short_report.scenarios["nominal"].results["ff"].score.value
     for text in (board.extract(result), board.leaderboard(result, "command")):
-        (row, *_) = (line for line in text.splitlines() if line.startswith("| `pd` |"))
+        (row, *_) = (line for line in text.splitlines() if line.startswith("| `ff` |"))
         cells = row.split(" | ")
         assert cells[1].rstrip(" |").startswith("*") and cells[1].endswith("*")
         assert float(cells[1].strip("*").split()[0]) == pytest.approx(score, abs=0.01)

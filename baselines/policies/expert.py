@@ -29,6 +29,7 @@ from baselines.policies.expert_lanes import (
     open_room,
     plan_tile,
     planner_law,
+    read_world,
     start,
     take_rows,
     waiting,
@@ -45,7 +46,6 @@ from formation_env.memory.records import (
     at,
     fields,
     flatten,
-    line_loader,
     line_storer,
     size,
     slices,
@@ -89,7 +89,6 @@ class Decision(NamedTuple):
 
 _store_flown, _store_planned = line_storer(Flown), line_storer(Planned)
 _PLANNED = at(Decision, "planned")
-read_world = line_loader(World)
 
 
 @device

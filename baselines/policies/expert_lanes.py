@@ -99,7 +99,7 @@ def measurements(o: Observation) -> Measurements:
 
 
 # Whether a virtual follower can be computed with; false for what is not a number, too.
-_in_reach = device(
+in_reach = device(
     define(
         "in_reach",
         "def in_reach(f):\n    return "
@@ -132,23 +132,35 @@ def start(rows: Any, x: Any) -> None:
 
 
 @device
+def point_of(
+    f: Virtual,
+    leader: TrajectoryPoint,
+    offset: Vector,
+    started: bool,
+    law: PlannerLaw,
+    derived: bool,
+) -> TrajectoryPoint:
+    """The trajectory of a virtual follower: at rest before the trigger, and then as in (35)."""
+    r = trajectory_point(f, leader, offset, law)
+    if derived:
+        r = full_trajectory_point(f, leader, offset, law)
+    return TrajectoryPoint(
+        r.p,
+        pick_vector(started, r.v, ZERO),
+        pick_vector(started, r.a, ZERO),
+        pick_vector(started, r.j, ZERO),
+        pick_vector(started, r.s, ZERO),
+    )
+
+
+@device
 def _plan(
     rows: Any, x: Any, lane: Any, h: float, law: PlannerLaw, derived: bool, points: Any
 ) -> None:
     m, f = measurements(load_observation(rows, lane)), load_virtual(x, lane)
-    r = trajectory_point(f, m.leader, m.offset, law)
-    if derived:
-        r = full_trajectory_point(f, m.leader, m.offset, law)
-    at_rest = TrajectoryPoint(
-        r.p,
-        pick_vector(m.started, r.v, ZERO),
-        pick_vector(m.started, r.a, ZERO),
-        pick_vector(m.started, r.j, ZERO),
-        pick_vector(m.started, r.s, ZERO),
-    )
-    _store_point(points, lane, at_rest)
+    _store_point(points, lane, point_of(f, m.leader, m.offset, m.started, law, derived))
     keep_virtual(x, lane, m.started, advance(f, m.leader, m.offset, h, law))
-    x[lane] = pick(_in_reach(load_virtual(x, lane)), x[lane], np.nan)
+    x[lane] = pick(in_reach(load_virtual(x, lane)), x[lane], np.nan)
 
 
 @loop
@@ -214,8 +226,8 @@ def act_by_rates(rows: Any, points: Any, world: World, actions: Any) -> None:
 def accelerate(rows: Any, x: Any, points: Any, h: float, reach: Reach, actions: Any) -> None:
     """Actions of level REFERENCE: they take the environment's virtual follower along with ours.
 
-    A constant acceleration that matches our velocity at the end of the tick, and removes what is left
-    of a difference in position (after a saturated action) with a time constant of half a second.
+    A constant acceleration that makes its velocity at the end of the tick ours and twice the difference in
+    position (1/s), which so vanishes with a time constant of half a second.
     """
     for lane in range(_LANES):
         o, after = load_guided(rows, lane), load_virtual(x, lane)
@@ -225,7 +237,7 @@ def accelerate(rows: Any, x: Any, points: Any, h: float, reach: Reach, actions: 
         v = scaled(after.u, phase(after.theta))
         wanted = sub((v.real, v.imag, after.w), guide_v)
         behind = sub(load_point(points, lane).p, guide_p)
-        a = in_frame(m.heading, add(scale(1.0 / h, wanted), scale(2.0, behind)))
+        a = in_frame(m.heading, scale(1.0 / h, add(wanted, scale(2.0, behind))))
         b = acceleration_action(a, reach)
         action = (clipped_or_zero(b[0]), clipped_or_zero(b[1]), clipped_or_zero(b[2]))
         _store_vector(actions, lane, action)
