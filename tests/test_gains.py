@@ -11,7 +11,12 @@ from closed_loop import PROPERTY
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from formation_env import PlannerGains, TrackerGains, Vehicle
+from formation_env import PlannerGains, TrackerGains, Vehicle, configure
+from formation_env.laws import tracker
+from formation_env.laws.gains import RATES_GAINS
+from formation_env.laws.tracker import Motion
+from formation_env.laws.world import hold_at
+from formation_env.physics.quadrotor import GRAVITY
 
 gains = st.floats(0.05, 5.0, allow_subnormal=False)
 
@@ -143,3 +148,52 @@ def test_the_laws_get_every_gain_in_its_place() -> None:
     assert replace(planner, k1=0.2) == PlannerGains(
         k1=0.2, k2=1.2, k3=0.3, kz1=0.4, kz2=0.5, p_max=0.6, z_max=0.7
     )
+
+
+# -- vehicles driven by rates -----------------------------------------------------------------------------
+
+LEVEL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+def pull(e1: float, e2: float, gains: TrackerGains) -> float:
+    """The horizontal part of `delta` (58) of a level vehicle with errors along north, 1/s^2 m."""
+    m = Motion((e1, 0.0, 0.0), (e2, 0.0, 0.0), LEVEL, (0.0, 0.0, 0.0))
+    return tracker.outer(m, hold_at((0.0, 0.0, 0.0)), gains.law()).delta[0]
+
+
+def poles(gains: TrackerGains, lag: float) -> npt.NDArray[np.complex128]:
+    """Of tilt and velocity error near hover, `omega_d` sent through an uncompensated lag."""
+    delta2 = pull(0.0, 1e-6, gains) / 1e-6
+    return np.roots([lag, 1.0, gains.k3, GRAVITY**2 * delta2])
+
+
+def test_gains_for_rates_stand_twice_the_lag_that_they_have_to() -> None:
+    """(a) of `RATES_GAINS`, by the roots: without any compensation, and the limit is where it says."""
+    lag = Vehicle().rate_lag
+    assert poles(RATES_GAINS, 2.0 * lag).real.max() < 0.0
+    delta2 = pull(0.0, 1e-6, RATES_GAINS) / 1e-6
+    least = lag * GRAVITY**2 * delta2
+    assert least == pytest.approx(10.7, abs=0.05)
+    for k3, stable in ((1.01 * least, True), (0.99 * least, False)):
+        assert (poles(replace(RATES_GAINS, k3=k3), lag).real.max() < 0.0) == stable
+    # What the paper's own gains miss.
+    assert poles(TrackerGains(), lag).real.max() > 0.0
+
+
+@pytest.mark.parametrize("scenario", ["paper", "experiment"])
+def test_with_gains_for_rates_a_tilt_exists_wherever_a_flight_begins(scenario: str) -> None:
+    """(b) of `RATES_GAINS`: `n |delta| < k3` at rest, a quarter of it left, from start to slot."""
+    config = configure(scenario, action="rates")
+    first, gains = np.asarray(config.trajectory(0.0)).reshape(-1)[:2], config.rates_tracker
+    pairs = zip(np.array(config.ground_starts())[1:], np.array(config.offsets), strict=True)
+    far = max(float(np.linalg.norm(first - p[:2]) + np.linalg.norm(d[:2])) for p, d in pairs)
+    at_rest = Motion((far, 0.0, 0.0), (0.0, 0.0, 0.0), LEVEL, (0.0, 0.0, 0.0))
+    n = np.linalg.norm(tracker.outer(at_rest, hold_at((0.0, 0.0, 0.0)), gains.law()).b)
+    assert n * pull(far, 0.0, gains) < 0.75 * gains.k3
+
+
+def test_with_half_of_k3_it_does_not() -> None:
+    """Why `paper:rates` started after 18.5 s: a follower begins 4.1 m from its slot."""
+    slow = replace(RATES_GAINS, k3=20.0)
+    assert GRAVITY * pull(4.1, 0.0, slow) > slow.k3
+    assert GRAVITY * pull(3.3, 0.0, slow) < slow.k3

@@ -1,6 +1,6 @@
-"""Geometric tracking on SE(3): T. Lee, M. Leok, N. H. McClamroch, *Geometric Tracking Control of a
-Quadrotor UAV on SE(3)*, CDC 2010.
+"""Geometric tracking on SE(3).
 
+T. Lee, M. Leok, N. H. McClamroch, *Geometric Tracking Control of a Quadrotor UAV on SE(3)*, CDC 2010.
 Their frame is this package's: north-east-down, thrust along `-r3`. With `e_x = p - p_d`, `e_v = v - v_d`,
 
     b       = g k - a_d + k_x e_x + k_v e_v                    thrust vector over the mass (their A is -m b)

@@ -272,13 +272,14 @@ def rate_command(m: Motion, ref: TrajectoryPoint, mass: float, law: TrackerLaw) 
 def rate_command_through_lag(
     m: Motion, ref: TrajectoryPoint, mass: float, law: TrackerLaw, lag: float
 ) -> RateCommand:
-    """The command to a rate loop with a first-order lag (s) that makes `e4` go to zero.
+    """The command to a rate loop with a first-order lag (s) that makes `e4` go to zero; not the paper's law.
 
         omega_c = omega_d + lag omega_d_dot,   omega_d = A + S(k) B as in `rate_command`
 
     With `omega_dot = (omega_c - omega) / lag` the difference `omega - omega_d` decays with the time
     constant `lag`, whatever `omega_d` does. Sending `omega_d` alone is not enough for the paper's gains:
-    near the origin they ask for `lag s^3 + s^2 + k3 s + 24 k3 = 0`, unstable from a lag of 0.04 s on.
+    near the origin they ask for `lag s^3 + s^2 + k3 s + 24 k3 = 0`, unstable from a lag of 0.04 s on. What
+    gains suit is derived at `gains.RATES_GAINS`.
     """
     o = outer(m, ref, law)
     p = pointing(m, o, law)
