@@ -39,6 +39,7 @@ def at_rest(config: FormationConfig, **changed: Any) -> np.ndarray:
     return config.layout.pack(named)
 
 
+@pytest.mark.filterwarnings("ignore::baselines.policies.gain_files.UntunedWarning")
 def test_names_lead_to_policies() -> None:
     config = configure("nominal")
     for name in ("expert", "expert-tuned", "ff", "ff-filter", "lee", "lqr", "hover", "random"):
@@ -141,6 +142,7 @@ def test_random_begins_again_when_reset() -> None:
     assert not np.array_equal(first, second)
 
 
+@pytest.mark.filterwarnings("ignore::baselines.policies.gain_files.UntunedWarning")
 @pytest.mark.parametrize("name", POLICIES)
 @pytest.mark.parametrize("level", LEVELS)
 def test_a_world_does_not_see_the_others(name: str, level: str) -> None:
@@ -162,6 +164,7 @@ def test_a_world_does_not_see_the_others(name: str, level: str) -> None:
         rows = simulation.step(actions).observations
 
 
+@pytest.mark.filterwarnings("ignore::baselines.policies.gain_files.UntunedWarning")
 @pytest.mark.parametrize("name", POLICIES)
 def test_wrong_observation_is_refused(name: str) -> None:
     config = configure("nominal")

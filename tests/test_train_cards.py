@@ -253,12 +253,12 @@ def test_generalisation_tells_its_policies_apart_from_later_ones(
     text = shipping.transfers_text(shipping.transfers(checkout, 1, episodes=2))
     (checkout / shipping.GENERALISATION).write_text(text)
     facts = guide.gather(checkout)
-    assert [t.policy for t in facts.transfers] == ["expert", "pd", "ppo"]
+    assert [t.policy for t in facts.transfers] == ["expert", "ff", "ppo"]
     assert facts.transfers[0].score == 1.0 and facts.stale == []
     assert "| nominal | 1.000 |" in guide.readme(facts)
     shipping.ship(run, shipping.Estimate(0.6, 0.4, 0.7, 2), checkout)
     facts = guide.gather(checkout)
-    assert [t.policy for t in facts.transfers] == ["expert", "pd"]
+    assert [t.policy for t in facts.transfers] == ["expert", "ff"]
     assert facts.stale == ["ppo-nominal-wrench.safetensors"]
 
 
