@@ -29,9 +29,10 @@ from formation_env.configuration.placement import (
 from formation_env.laws import levels
 from formation_env.laws.feasibility import Feasibility, FeasibilityWarning, check, require_feasible
 from formation_env.laws.gains import RATES_GAINS, PlannerGains, TrackerGains
-from formation_env.laws.slots import out_of_frame
+from formation_env.laws.slots import in_frame, out_of_frame
 from formation_env.laws.world import Clock, Reach, World
 from formation_env.maths.so3 import Vector
+from formation_env.paths.course import Courses
 from formation_env.physics import disturbances
 from formation_env.physics.quadrotor import GRAVITY, MOMENT, RATES
 from formation_env.physics.sensors import Noise
@@ -57,6 +58,7 @@ PARTS: dict[str, Any] = {
 }
 _CHOICES = {
     "action": levels.NAMES,
+    "path": ("drawn", "as given"),
     "start": ("formation", "ground"),
     "estimator": ("direct", "differenced"),
     "leader_actuation": tuple(ACTUATIONS),
@@ -98,9 +100,10 @@ class FormationConfig:
     scenario: str = "nominal"
     offsets: tuple[Vector, ...] = ((0.35, 0.35, -0.3), (0.35, -0.35, -0.3))  # d_i
     trajectory: Trajectory = field(default_factory=figure_eight)
+    path: str = "drawn"  # turned, mirrored and begun elsewhere in every episode; or "as given"
     action: str = "wrench"
     start: str = "formation"
-    start_offset: float = 0.2  # m, radius of the ball around the slot; start="formation"
+    start_offset: float = 0.15  # m, radius of the ball around the slot; start="formation"
     leader_start: Vector | None = None  # on the floor; None: under the first reference point
     follower_starts: tuple[Vector, ...] | None = None  # None: in rows behind the leader
     trigger: float = 0.25  # m, e_max of (40); start="ground"
@@ -131,7 +134,7 @@ class FormationConfig:
         self._check_places()
         require_flyable(
             self.trajectory,
-            self.duration,
+            self.span,
             self.offsets,
             self.neighbours,
             self.leader_start,
@@ -200,7 +203,7 @@ class FormationConfig:
     def _check_places(self) -> None:
         """The formation and the starts."""
         collision = self.limits.collision
-        check_offsets(self.offsets, self.trajectory, self.duration, collision)
+        check_offsets(self.offsets, self.trajectory, self.span, collision)
         if self.follower_starts is not None:
             require(
                 len(self.follower_starts) == self.followers,
@@ -258,6 +261,11 @@ class FormationConfig:
         """Control ticks in an episode."""
         return max(1, round(self.duration / self.control_period))
 
+    @property
+    def deadline_steps(self) -> int:
+        """Control ticks within which the trigger (40) has to fire."""
+        return ceil(self.limits.deadline / self.control_period - 1e-9)
+
     @cached_property
     def layout(self) -> Layout:
         """Names of the observation's entries."""
@@ -271,16 +279,49 @@ class FormationConfig:
 
     def feasibility(self) -> tuple[Feasibility, ...]:
         """Report on (23)-(30) for every follower along the leader's trajectory."""
-        return _feasibility(self.offsets, self.trajectory, judged(self.trajectory, self.duration))
+        return _feasibility(self.offsets, self.trajectory, judged(self.trajectory, self.span))
+
+    @property
+    def phases(self) -> int:
+        """Ticks of the leader's path, one of which an episode begins at; 0: always at its first."""
+        period = self.trajectory.period
+        return (
+            0 if self.path == "as given" or period == inf else round(period / self.control_period)
+        )
+
+    @property
+    def span(self) -> float:
+        """Seconds of the leader's path of which an episode flies a part."""
+        return self.duration + self.phases * self.control_period
+
+    def _courses(self) -> Courses:
+        """How the paths of episodes lie; the mirror image is that of a formation which is mirrored."""
+        if self.path == "as given":
+            return Courses(0, 0, 0)
+        image = tuple((x, -y, z) for x, y, z in self.offsets)
+        reports = _feasibility(image, self.trajectory, judged(self.trajectory, self.span))
+        return Courses(1, int(not any(report.inverts for report in reports)), self.phases)
+
+    def ground_places(self) -> tuple[Vector, ...]:
+        """`ground_starts`, or where the path is drawn the same relative to its first point and direction."""
+        starts = self.ground_starts()
+        if self.path == "as given":
+            return starts
+        R, p = path_start(self.trajectory.kind, self.trajectory.table)
+        return tuple(in_frame(R, (x - p[0], y - p[1], z)) for x, y, z in starts)
 
     def ground_starts(self) -> tuple[Vector, ...]:
-        """Where the leader and the followers stand at the start on the ground, leader first."""
+        """Where the leader and the followers stand at the start on the ground, leader first.
+
+        Inertial, m; for a path that is as it is given.
+        """
         kind, table = self.trajectory.kind, self.trajectory.table
         R, p = path_start(kind, table)
         leader = self.leader_start or (p[0], p[1], 0.0)
         if self.follower_starts is not None:
             return (leader, *self.follower_starts)
-        grid = formations.grid(self.followers, columns=ceil(sqrt(self.followers)), plane="xy")
+        columns = ceil(sqrt(self.followers))
+        grid = formations.grid(self.followers, columns, ahead=0.7, plane="xy")
         places = [out_of_frame(R, (-float(d[0]), -float(d[1]), 0.0)) for d in grid]
         return (leader, *((leader[0] + x, leader[1] + y, 0.0) for x, y, _ in places))
 
@@ -307,6 +348,7 @@ class FormationConfig:
             self.trigger,
             int(self.start == "ground"),
             self.start_offset,
+            self._courses(),
         )
 
     def _clock(self) -> Clock:

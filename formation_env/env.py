@@ -35,6 +35,11 @@ class FormationEnv(Fixed, gym.Env[Observation, NDArray[np.float32]]):
     with the height of (32) at `e_z = 0`. It depends on the leader's true motion only, never on the
     policy. With equal `d_x` the slots are a rigid formation.
 
+    Where the leader's path lies is drawn in every episode (`path="drawn"`): it is turned about the
+    vertical, mirrored in every second episode where no virtual follower inverts on the mirror image, and
+    begun at another of its points if it repeats itself; vehicles begin at any yaw angle.
+    `path="as given"` flies it as it is given, from its first point, at yaw zero.
+
     The inertial frame is north-east-down: `z` points down, the floor is `p_z = 0`. One step is one
     control tick of 0.02 s, integrated by 4 Runge-Kutta steps.
 
@@ -65,24 +70,28 @@ class FormationEnv(Fixed, gym.Env[Observation, NDArray[np.float32]]):
 
     {rewards}
 
-    A tick earns at most 1, so an episode's return is at most its number of ticks: 1000 in `nominal`
-    (20 s at 0.02 s), and less in practice, since following the leader costs some effort.
+    A tick earns at most 1, so an episode's return is at most its number of ticks: 1300 in `nominal`
+    (26 s at 0.02 s), and less in practice, since following the leader costs some effort. Nothing is
+    earned before the trigger (40), and the whole wait until its deadline costs less than a failure.
 
     ## Starting State
 
     `start="formation"`: the leader flies along its reference; each follower is level, moves with
-    its slot's velocity, and is up to `start_offset` (0.2 m) away from it, uniformly in a ball.
+    its slot's velocity, and is up to `start_offset` (0.15 m) away from it, uniformly in a ball.
     `start="ground"`: all vehicles rest on the floor; the leader climbs to its first reference point
-    and waits until every vehicle is within `trigger` (0.25 m) of where it should start (40).
+    and waits until every vehicle is within `trigger` (0.25 m) of where it should start (40). At action
+    level `reference` a virtual follower begins where its vehicle is, or on the ground at its slot.
 
     ## Episode End
 
-    Terminates when a follower collides (two vehicles closer than 0.2 m), hits the floor faster than
-    1 m/s or more than 60 degrees from level, or is lost (more than 10 m from its slot);
-    `info["failure"]` says which. A leader that crashes, on a path that it cannot fly, ends the episode
-    as well; `failure` is then 4 for each follower that has not failed itself, which costs it nothing.
-    Truncates after `duration` (20 s; 40 s in `paper` and `experiment`), or earlier where `gym.make` is
-    given `max_episode_steps`; `spec.max_episode_steps` says what holds.
+    Terminates when a follower collides (the centres of two vehicles closer than 0.353 m), hits the floor
+    faster than 1 m/s or more than 60 degrees from level, or is lost (more than 10 m from its slot), and
+    when the trigger (40) has not fired within `limits.deadline` (15 s); `info["failure"]` says which. One
+    failure costs every follower the same. A leader that crashes, on a path that it cannot fly, ends the
+    episode as well; `failure` is then 4 for each follower that has not failed itself, and costs nothing.
+    Truncates after `duration` (26 s in `nominal`, 40 s in `paper` and `experiment`, 20 s in `agile`, a
+    round of the path in `swarm`), or earlier where `gym.make` is given `max_episode_steps`;
+    `spec.max_episode_steps` says what holds.
 
     ## Arguments
 
@@ -90,7 +99,7 @@ class FormationEnv(Fixed, gym.Env[Observation, NDArray[np.float32]]):
     `formation_env.scenarios`), a `FormationConfig`, or a dictionary of one. `followers`: re-forms a
     named scenario with that many. `render_mode`: `"human"` (needs a display), `"rgb_array"` or None;
     both need the extra `render`. Every field of `FormationConfig` is a keyword, in its JSON form as well:
-    `offsets`, `trajectory`, `action`, `start`, `noise`, `vehicle`, `planner`, `tracker`, `reward`,
+    `offsets`, `trajectory`, `path`, `action`, `start`, `noise`, `vehicle`, `planner`, `tracker`, `reward`,
     `limits`, `duration`, `control_period`, `substeps`, ...
 
         gym.make("Formation-v0", scenario="paper", action="rates", followers=3)
@@ -119,7 +128,7 @@ class FormationEnv(Fixed, gym.Env[Observation, NDArray[np.float32]]):
     | `slots` | `(followers, 3)` | m, inertial | where each follower should be |
     | `slot_error` | `(followers, 3)` | m, inertial | slot minus position |
     | `separation` | `(followers,)` | m | distance to the nearest other vehicle |
-    | `failure` | `(followers,)` | - | int64, an index into `task.FAILURES`: 0 none, 1 collision, 2 impact, 3 lost, 4 the leader crashed |
+    | `failure` | `(followers,)` | - | int64, an index into `task.FAILURES`: 0 none, 1 collision, 2 impact, 3 lost, 4 the leader crashed, 5 unstarted: the trigger has not fired in time |
     | `reward_...` | `(followers,)` | 1 | the terms of the reward, each by the name in the table of Rewards |
 
     Where a vehicle's state can no longer be computed, the episode ends as lost: observations and rewards

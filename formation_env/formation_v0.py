@@ -31,13 +31,12 @@ class FormationParallelEnv(Fixed, ParallelEnv[str, Array, Array]):
     """Every follower is an agent, `follower_0` to `follower_{n-1}`; all act at once.
 
     Observations, actions, rewards, ends and arguments are those of `FormationEnv`, one row per agent;
-    the reward is the agent's own. The first failure ends the episode for all. `state()` is the truth
-    about the world, for centralised critics. `max_cycles` truncates earlier than the duration. Once the
-    episode is over there are no agents, and `step({})` returns five empty dictionaries.
+    the reward is the agent's own. The first failure ends the episode for all, and all pay for it. `state()`
+    is the truth about the world, for centralised critics. `max_cycles` truncates earlier than the duration.
+    Once the episode is over there are no agents, and `step({})` returns five empty dictionaries.
 
     `info` has for each agent `slot` and `slot_error` (3 numbers each, m, inertial) and as numbers
-    `separation` (m), `failure` and the terms `reward_formation`, `reward_effort`, `reward_smoothness`,
-    `reward_failure` of its reward, as `FormationEnv` describes them.
+    `separation` (m), `failure` and the terms `reward_...` of its reward, as `FormationEnv` describes them.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -81,7 +80,7 @@ class FormationParallelEnv(Fixed, ParallelEnv[str, Array, Array]):
             (agent, (0, i), (0, i, COLUMNS["slot"]), (0, i, COLUMNS["slot_error"]))
             for i, agent in enumerate(self.possible_agents)
         ]
-        self._everyone = frozenset(self.possible_agents)
+        self._all_agents = frozenset(self.possible_agents)
         self._shape = (self.config.action_size,)
         self._actions = np.zeros((1, n, *self._shape), dtype=np.float32)
         self._simulation = Simulation(self.config)
@@ -180,7 +179,7 @@ class FormationParallelEnv(Fixed, ParallelEnv[str, Array, Array]):
 
     def _read(self, actions: dict[str, Array]) -> Array:
         """The actions in the agents' order, in memory that the next call writes again."""
-        if not isinstance(actions, dict) or actions.keys() != self._everyone:
+        if not isinstance(actions, dict) or actions.keys() != self._all_agents:
             found = list(actions) if isinstance(actions, dict) else type(actions).__name__
             raise ValueError(
                 f"actions for {shown(found)}: expected one for each of {shown(self.agents)}"
@@ -223,8 +222,8 @@ class FormationParallelEnv(Fixed, ParallelEnv[str, Array, Array]):
         return observations, rewards, infos
 
     def state(self) -> Array:
-        """The truth, float32 within `state_space`: per vehicle, leader first, `p, v, q, omega` (13); per
-        follower its slot (3); 1 if the trigger has fired; inertial frame, SI units.
+        """The truth, float32 within `state_space`: per vehicle, leader first, `p, v, q, omega`; per follower
+        its slot; 1 if the trigger has fired; inertial frame, SI units.
 
         Raises `ResetNeeded` before the first reset.
         """

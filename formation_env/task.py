@@ -20,14 +20,15 @@ from formation_env.laws.world import NEAR as NEAR
 from formation_env.laws.world import RATE_BOUND as RATE_BOUND
 from formation_env.laws.world import UNIT as UNIT
 from formation_env.laws.world import Action
-from formation_env.maths.so3 import ZERO, Rotation, Vector, dot, pick_vector, rotation, sub
+from formation_env.maths.so3 import ZERO, Rotation, Vector, dot, pick, pick_vector, rotation, sub
 from formation_env.memory.records import Quantity, fields, notes, size, slices
 from formation_env.physics.sensors import Measured
 from formation_env.validation.checks import Within, refuse
 
-# How a follower's episode ended. LEADER: the leader crashed, for which no follower pays.
-NO_FAILURE, COLLISION, IMPACT, LOST, LEADER = 0, 1, 2, 3, 4
-FAILURES = ("none", "collision", "impact", "lost", "leader")
+# How a follower's episode ended. LEADER: the leader crashed, for which no follower pays. UNSTARTED: the
+# trigger (40) has not fired in time.
+NO_FAILURE, COLLISION, IMPACT, LOST, LEADER, UNSTARTED = 0, 1, 2, 3, 4, 5
+FAILURES = ("none", "collision", "impact", "lost", "leader", "unstarted")
 
 
 class Observation(NamedTuple):
@@ -102,35 +103,48 @@ NEIGHBOUR_ENTRIES = entries(Neighbour)
 
 
 # A weight near the end of the floating-point range would make a reward that is not finite.
-_WEIGHT = Within(0.0, 1e6)
+_WEIGHT, _LENGTH = Within(0.0, 1e6), Within(1e-6, 1e6)
 
 
 class Rewards(NamedTuple):
-    """What things are worth, per control tick."""
+    """What things are worth, per control tick.
 
-    scale: Annotated[float, Within(1e-6, 1e6)] = 0.3  # m, slot error that earns one half
+    Of a slot error `e` the closeness is `1/2 / (1 + (e / reach)^2) + 1/2 / (1 + (e / precision)^2)`, 1 where
+    it is zero. `reach` is half the leader's distance in III-C and about what the start and the trigger (40)
+    leave, so that a follower that has far to go learns which way; `precision` is what the paper's expert
+    keeps where a flight is disturbed, so that centimetres count. Below a quarter of `precision` closeness
+    exceeds 0.96, above three times `reach` it is below 0.06.
+    """
+
+    reach: Annotated[float, _LENGTH] = 0.3  # m, slot error at which the wide half is halved
+    precision: Annotated[float, _LENGTH] = 0.05  # m, slot error at which the narrow half is
+    waiting: Annotated[float, _WEIGHT] = (
+        0.01  # of what closeness lacks of 1 before the trigger (40)
+    )
     effort: Annotated[float, _WEIGHT] = 0.05  # weight of the mean squared action
     smoothness: Annotated[float, _WEIGHT] = 0.05  # weight of the mean squared change of action
-    failure: Annotated[float, _WEIGHT] = 10.0  # paid once by the follower that failed
+    failure: Annotated[float, _WEIGHT] = 10.0  # paid once by every follower when one has failed
 
 
 class Limits(NamedTuple):
     """Where an episode fails."""
 
-    collision: Annotated[float, Within(0.0, NEAR, strict=True)] = (
-        0.2  # m, least between two vehicles
-    )
+    # m, least between the centres of two vehicles: the paper's airframe measures so much
+    collision: Annotated[float, Within(0.0, NEAR, strict=True)] = 0.353
     impact: Annotated[float, Within(0.0, ANYWHERE, strict=True)] = 1.0  # m/s, fastest touch-down
     tilt: Annotated[float, Within(-1.0, 1.0)] = 0.5  # least r3 . k at touch-down
     lost: Annotated[float, Within(0.0, ANYWHERE, strict=True)] = 10.0  # m, largest slot error
+    deadline: Annotated[float, Within(0.0, 1e9, strict=True)] = (
+        15.0  # s, for the trigger (40) to fire
+    )
 
 
 class Term(NamedTuple):
     """What annotates a term of the reward, for the manual."""
 
     meaning: str
-    weight: str  # a field of `Rewards`
-    unit: str = ""  # of it
+    weights: str  # fields of `Rewards`, apart by spaces
+    unit: str = ""  # of each
 
 
 class Terms(NamedTuple):
@@ -140,11 +154,22 @@ class Terms(NamedTuple):
     """
 
     formation: Annotated[
-        float, Term("`1 / (1 + (e / scale)^2)`, `e` the true distance to the slot", "scale", "m")
+        float,
+        Term(
+            "after the trigger (40): `1/2 / (1 + (e / reach)^2) + 1/2 / (1 + (e / precision)^2)`, `e` "
+            "the true distance to the slot",
+            "reach precision",
+            "m",
+        ),
+    ]
+    waiting: Annotated[
+        float, Term("before the trigger: `-w` times what that lacks of 1", "waiting")
     ]
     effort: Annotated[float, Term("`-w` times the mean squared action", "effort")]
     smoothness: Annotated[float, Term("`-w` times the mean squared change of action", "smoothness")]
-    failure: Annotated[float, Term("`-w` once, to the follower that failed", "failure")]
+    failure: Annotated[
+        float, Term("`-w` once, to every follower of a team of which one has failed", "failure")
+    ]
 
 
 class Outcome(NamedTuple):
@@ -215,9 +240,14 @@ def observe_neighbour(own: Passing, other: Passing, R: complex, present: bool) -
 
 @device
 def failure(
-    separation: float, speed: float, uprightness: float, error: float, limits: Limits
+    separation: float,
+    speed: float,
+    uprightness: float,
+    error: float,
+    overdue: bool,
+    limits: Limits,
 ) -> int:
-    """How a follower failed in this tick, if it did.
+    """How a follower failed in this tick, if it did; `overdue` where the trigger (40) is.
 
     Distances in m, `speed` of the hardest touch-down in m/s (0 in the air), its `uprightness` r3 . k.
     An error that is not a number counts as lost: the state has left what can be computed. An infinite `speed`
@@ -226,26 +256,41 @@ def failure(
     crashed = (speed > limits.impact) | ((speed > 0.0) & (uprightness < limits.tilt))
     crashed = crashed & (speed < inf)
     lost = not error <= limits.lost
-    why = LOST if lost else NO_FAILURE
+    why = UNSTARTED if overdue else NO_FAILURE
+    why = LOST if lost else why
     why = IMPACT if crashed else why
     return COLLISION if separation < limits.collision else why
 
 
 @device
+def closeness(error: float, weights: Rewards) -> float:
+    """How near a slot error (m) is to none: `Rewards`; zero for one that is not a number."""
+    x, y = error / weights.reach, error / weights.precision
+    return max(0.0, 0.5 / (1.0 + x * x) + 0.5 / (1.0 + y * y))  # in this order 0 for NaN
+
+
+@device
 def reward(
-    error: float, action: Action, previous: Action, size: int, failed: bool, weights: Rewards
+    started: bool,
+    error: float,
+    action: Action,
+    previous: Action,
+    size: int,
+    failed: bool,
+    weights: Rewards,
 ) -> Terms:
     """The reward's terms for one follower and one tick.
 
-        formation  = 1 / (1 + (|e| / scale)^2)      1 when exact, heavy-tailed, so always informative
+        formation  = closeness                      once the trigger (40) has fired
+        waiting    = -waiting (1 - closeness)       before, to the waiting place
         effort     = -effort |a|^2 / size           zero action is hovering flight
         smoothness = -smoothness |a - a_prev|^2 / size
-        failure    = -failure, once
+        failure    = -failure, once, where one of the team has failed
 
-    `error` is the true slot error in m, `size` the number of entries an action has. An error that is not a
-    number earns nothing.
+    So nothing is earned before the start, and the whole wait until the deadline costs less than a failure.
+    `error` is the true slot error in m, `size` the number of entries an action has.
     """
-    x = error / weights.scale
+    near = closeness(error, weights)
     b = (
         action[0] - previous[0],
         action[1] - previous[1],
@@ -253,7 +298,8 @@ def reward(
         action[3] - previous[3],
     )
     return Terms(
-        max(0.0, 1.0 / (1.0 + x * x)),  # in this order 0 for NaN
+        pick(started, near, 0.0),
+        pick(started, 0.0, -weights.waiting * (1.0 - near)),
         -weights.effort * _square(action) / size,
         -weights.smoothness * _square(b) / size,
         -weights.failure if failed else 0.0,

@@ -130,8 +130,8 @@ class FormationVectorEnv(Fixed, VectorEnv[Array, Array, Array]):
         results = self._simulation.step(rows.reshape(self.num_envs, n, k), mode)
         self._begin_drawing()
         terminated, truncated = results.terminated, results.truncated
-        everyone = np.ones(self.num_envs, dtype=np.bool_)
-        info = _masked(faces.describe(results.outputs, terminated), everyone)
+        all_worlds = np.ones(self.num_envs, dtype=np.bool_)
+        info = _masked(faces.describe(results.outputs, terminated), all_worlds)
         if mode == STEP_AND_RESET and (done := terminated | truncated).any():
             info |= self._final(results, done)
         return self._rows(results.observations), results.rewards, terminated, truncated, info

@@ -23,6 +23,7 @@ from formation_env import (
     trajectories,
 )
 from formation_env.configuration.leader_path import FlightWarning
+from formation_env.memory.records import notes
 
 
 def spread(low: float, high: float) -> st.SearchStrategy[float]:
@@ -37,6 +38,15 @@ def three(low: float, high: float) -> st.SearchStrategy[tuple[float, ...]]:
 
 def or_zero(high: float) -> st.SearchStrategy[float]:
     return st.just(0.0) | spread(1e-6, high)
+
+
+def within(kind: Any) -> st.SearchStrategy[Any]:
+    """A record of numbers, each between the bounds of its field."""
+    fields = {
+        name: spread(to.low, to.high) if to.low > 0.0 else or_zero(to.high)
+        for name, to in notes(kind).items()
+    }
+    return st.builds(kind, **fields)
 
 
 def _vehicle(mass: float, J: float, lift: float | None, **options: Any) -> Vehicle:
@@ -98,9 +108,10 @@ FIELDS: dict[str, st.SearchStrategy[Any]] = {
         )
     ),
     "trajectory": PATHS,
+    "path": st.sampled_from(("drawn", "as given")),
     "action": st.sampled_from(("wrench", "rates", "reference")),
     "start": st.sampled_from(("formation", "ground")),
-    "start_offset": st.just(0) | st.floats(0.0, 0.2),
+    "start_offset": st.just(0) | st.floats(0.0, 0.17),
     "leader_start": st.none() | st.just([0, 5, 0]) | st.just((0.0, -5.0, 0.0)),
     "follower_starts": st.none() | st.just([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]]),
     "trigger": spread(1e-6, 1e4),
@@ -111,9 +122,7 @@ FIELDS: dict[str, st.SearchStrategy[Any]] = {
     "measurement_delay": st.integers(0, 5) | st.just(np.uint8(2)),
     "estimator": st.sampled_from(("direct", "differenced")),
     "window": st.integers(1, 200),
-    "noise": st.builds(
-        Noise, or_zero(1e3), or_zero(100.0), or_zero(100.0), or_zero(3.14), or_zero(100.0)
-    ),
+    "noise": within(Noise),
     "gust": or_zero(100.0),
     "gust_time": spread(1e-300, 1e300),
     "vehicle": VEHICLES,
@@ -123,9 +132,14 @@ FIELDS: dict[str, st.SearchStrategy[Any]] = {
     "planner": PLANNERS,
     "tracker": TRACKERS,
     "rates_tracker": TRACKERS,
-    "reward": st.builds(Rewards, spread(1e-6, 1e6), or_zero(1e6), or_zero(1e6), or_zero(1e6)),
+    "reward": within(Rewards),
     "limits": st.builds(
-        Limits, spread(1e-6, 0.15), spread(1e-6, 1e4), st.floats(-1.0, 1.0), spread(0.5, 1e4)
+        Limits,
+        collision=spread(1e-6, 0.15),
+        impact=spread(1e-6, 1e4),
+        tilt=st.floats(-1.0, 1.0),
+        lost=spread(0.5, 1e4),
+        deadline=spread(1e-6, 1e9),
     ),
     "neighbours": st.integers(0, 64),
 }

@@ -11,6 +11,7 @@ import json
 import re
 import sys
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import gymnasium as gym
@@ -21,6 +22,7 @@ import formation_env
 from baselines import make_policy
 from formation_env import FormationConfig, configure, formation_v0
 from formation_env.env import FormationEnv
+from formation_env.paths.references import by_name
 from train.scales import fixed_scales
 
 Array = Any
@@ -138,11 +140,13 @@ def reward_term() -> None:
     assert (info["reward_close"] == 0.5).all()
     _, less = fly(1, HOVER, reward={"close": 0.25}, **close)
     assert (less["reward_close"] == 0.25).all()
-    _, far = fly(1, HOVER, start_offset=0.2, reward={"scale": 1e-3})
+    _, far = fly(1, HOVER, reward={"precision": 1e-3})
     assert (far["reward_close"] == 0.0).all()
+    _, waits = fly(1, HOVER, start="ground", reward={"precision": 1e3})
+    assert (waits["reward_close"] == 0.0).all()
     goes_round(reward={"close": 0.25})
     refused("reward.close = -1", reward={"close": -1.0})
-    manual("| `reward_close` | the weight", "| close 0.5 |")
+    manual("| `reward_close` | after the trigger: the weight", "| close 0.5 |")
 
 
 @recipe("Observation entry")
@@ -188,16 +192,16 @@ def law_and_gain() -> None:
 
 @recipe("Trajectory family")
 def trajectory_family() -> None:
-    task = {"trajectory": {"path": "approach", "distance": 4.0, "rate": 0.3}}
+    task = {"trajectory": {"path": "approach", "distance": 4.0, "rate": 0.3}, "gust": 0.0}
     rows, _ = fly(25, HOVER, **task)
     v = named(rows, **task)["leader_velocity"]
     np.testing.assert_allclose(np.linalg.norm(v, axis=1), 4.0 * 0.3 * np.exp(-0.3 * 0.5), rtol=1e-3)
     path = configure(**task).trajectory
     times = np.linspace(0.0, 10.0, 2001)
-    points = path(times)
-    for order in range(4):
-        slope = np.gradient(points[:, order], times, axis=0)
-        np.testing.assert_allclose(slope[1:-1], points[1:-1, order + 1], atol=1e-5)
+    flown = list(by_name(path(times)).values())
+    for function, derivative in pairwise(flown):
+        slope = np.gradient(function, times, axis=0)
+        np.testing.assert_allclose(slope[1:-1], derivative[1:-1], atol=1e-5)
     assert path.to_dict()["kind"] == "approach"
     goes_round(**task)
     refused("rate = -1", trajectory={"path": "approach", "rate": -1.0})
@@ -268,8 +272,9 @@ def sensor() -> None:
 
 @recipe("Disturbance")
 def disturbance() -> None:
-    calm, _ = fly(50, HOVER, trajectory="hover", offsets=((0.5, 0.0, 0.0),))
-    task = {"trajectory": "hover", "offsets": ((0.5, 0.0, 0.0),), "wind": 1.0}
+    alone = {"trajectory": "hover", "offsets": ((0.6, 0.0, 0.0),), "gust": 0.0}
+    calm, _ = fly(50, HOVER, **alone)
+    task = {**alone, "wind": 1.0}
     blown, _ = fly(50, HOVER, **task)
     moved = named(blown, **task)["position"] - named(calm, **task)["position"]
     # The second integral of 1 - exp(-t / 2 s), for 1 s.

@@ -30,8 +30,8 @@ from formation_env.validation.checks import LONGEST
 from formation_env.vector import FormationVectorEnv
 
 QUIET = Noise(0.0, 0.0, 0.0, 0.0, 0.0)
-REWARD = Rewards(0.3, 0.05, 0.05, 10.0)
-LIMITS = Limits(0.2, 1.0, 0.5, 10.0)
+REWARD = Rewards(0.3, 0.05, 0.01, 0.05, 0.05, 10.0)
+LIMITS = Limits(0.353, 1.0, 0.5, 10.0, 15.0)
 NOT_POSITIVE = (0.0, -1.0, inf, nan, "x", None, True)
 NEGATIVE = (-0.1, inf, nan, "x", None)
 NOT_A_COUNT = (-1, 1.5, "x", None, True, 10**9)
@@ -40,6 +40,7 @@ NOT_A_COUNT = (-1, 1.5, "x", None, True, 10**9)
 IMPOSSIBLE: dict[str, tuple[Any, ...]] = {
     "offsets": ((), (0.35, 0.35, -0.3), ((0.35, 0.35),), ((nan, 0.0, 0.0),), "x", None),
     "trajectory": (None, "figure-eight", lambda t: t, 3, {"path": "spiral"}),
+    "path": ("given", "As given", None, True),
     "action": ("torque", None, 3),
     "start": ("air", None, 1),
     "start_offset": (*NEGATIVE, 0.6),
@@ -443,6 +444,6 @@ def test_a_trajectory_too_short_is_refused() -> None:
     samples = trajectories.figure_eight()
     short = type(samples)(samples.name, samples.kind, samples.table, duration=5.0)
     with pytest.raises(
-        ValueError, match=r"duration = 20\.0: expected at most the trajectory's 5 s"
+        ValueError, match=r"duration = 26\.0: expected at most the trajectory's 5 s"
     ):
         configure(trajectory=short)

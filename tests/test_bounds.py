@@ -116,8 +116,12 @@ def test_more_substeps_follow_more() -> None:
         ({"reward": {"effort": 1e308}}, r"^reward\.effort = 1e\+308: .* at most 1e\+06$"),
         ({"reward": {"smoothness": 1e7}}, r"^reward\.smoothness = 10000000\.0: .* at most 1e\+06$"),
         ({"reward": {"failure": 1e9}}, r"^reward\.failure = "),
-        ({"reward": {"scale": 1e-200}}, r"^reward\.scale = 1e-200: .* at least 1e-06"),
+        ({"reward": {"reach": 1e-200}}, r"^reward\.reach = 1e-200: .* at least 1e-06"),
+        ({"reward": {"precision": 0.0}}, r"^reward\.precision = 0\.0: .* at least 1e-06"),
+        ({"reward": {"waiting": -0.01}}, r"^reward\.waiting = -0\.01: .* at least 0 "),
         ({"limits": {"lost": 1e5}}, r"^limits\.lost = 100000\.0: .* at most 10000$"),
+        ({"limits": {"deadline": 0.0}}, r"^limits\.deadline = 0\.0: .* above 0"),
+        ({"limits": {"deadline": 1e10}}, r"^limits\.deadline = 1.*: .* at most 1e\+09$"),
         ({"limits": {"tilt": 1.5}}, r"^limits\.tilt = 1\.5: .* at least -1 and at most 1$"),
         ({"gust": 1e300}, r"^gust = 1e\+300: .* at most 100$"),
         ({"trigger": 1e300}, r"^trigger = 1e\+300: .* at most 10000$"),
@@ -279,7 +283,7 @@ def test_an_unknown_keyword_is_a_type_error(name: str) -> None:
     assert len(message) <= LONGEST
     if len(name) < 20:
         assert f"unexpected keyword argument {name!r}: known are scenario, followers" in message
-        assert "offsets, trajectory, action" in message
+        assert "offsets, trajectory, path, action" in message
         assert message.endswith("neighbours")
 
 

@@ -60,7 +60,7 @@ def test_where_only_the_sufficient_bound_fails_it_warns() -> None:
     [
         ({"trajectory": trajectories.hover((0.0, 0.0, -0.2))}, r"offsets\[0\] = .*floor.*\(32\)"),
         ({"offsets": ((0.5, 0.0, -0.3), (0.5, 0.1, -0.3))}, "offsets = '0.1 m apart'"),
-        ({"start_offset": 0.26}, "start_offset = 0.26: .*limits.collision = 0.2 m"),
+        ({"start_offset": 0.18}, "start_offset = 0.18: .*limits.collision = 0.353 m"),
         ({"start": "ground", "leader_start": (0.0, 0.0, -1.0)}, "p_z = 0, the floor"),
         ({"start": "ground", "follower_starts": ((0, 0, 0), (0.1, 0, 0))}, "0.1 m apart"),
         ({"vehicle": Vehicle, "duration": 1.0}, "vehicle = "),
@@ -118,11 +118,11 @@ def test_own_offsets_drop_the_scenarios_starts() -> None:
 
 
 def test_numbers_of_numpy_are_numbers() -> None:
-    plain = configure(substeps=5, duration=10.0, offsets=((0.3, 0.0, -0.3),), gust=0.5)
+    plain = configure(substeps=5, duration=10.0, offsets=((0.4, 0.0, -0.4),), gust=0.5)
     array = configure(
         substeps=np.int64(5),
         duration=np.float32(10.0),
-        offsets=np.array([[0.3, 0.0, -0.3]]),
+        offsets=np.array([[0.4, 0.0, -0.4]]),
         gust=np.float64(0.5),
     )
     assert array == plain
@@ -144,12 +144,38 @@ def test_steps_of_an_episode(duration: float, period: float, steps: int) -> None
     assert configure(duration=duration, control_period=period).max_steps == steps
 
 
+@pytest.mark.parametrize(
+    ("deadline", "period", "steps"), [(15.0, 0.02, 750), (15.0, 1 / 44, 660), (0.05, 0.02, 3)]
+)
+def test_ticks_until_the_deadline(deadline: float, period: float, steps: int) -> None:
+    config = configure(limits={"deadline": deadline}, control_period=period)
+    assert config.deadline_steps == steps
+
+
+def test_a_drawn_path_begins_at_any_tick_of_its_period() -> None:
+    """One that is as it is given, does not repeat itself, ends or is random begins at its first point."""
+    period = circle(radius=2.0, speed=0.5).period
+    assert period == pytest.approx(2.0 * np.pi * 2.0 / 0.5)
+    drawn = configure(trajectory=circle(radius=2.0, speed=0.5))
+    assert drawn.phases == round(period / 0.02)
+    assert drawn.span == pytest.approx(26.0 + drawn.phases * 0.02)
+    endless = circle(radius=2.0, speed=0.5)
+    ends = type(endless)(endless.name, endless.kind, endless.table, duration=26.0)
+    for config in (
+        configure(drawn, path="as given"),
+        configure(trajectory=trajectories.line()),
+        configure(trajectory=ends),
+        configure("agile"),
+    ):
+        assert (config.phases, config.span) == (0, config.duration)
+
+
 def test_nobody_shares_a_default() -> None:
     """Two configurations with a list given for offsets do not see each other's changes."""
-    offsets = [[0.3, 0.0, -0.3]]
+    offsets = [[0.4, 0.0, -0.4]]
     config = FormationConfig(offsets=offsets)  # type: ignore[arg-type]
     offsets[0][0] = 9.0
-    assert config.offsets == ((0.3, 0.0, -0.3),)
+    assert config.offsets == ((0.4, 0.0, -0.4),)
 
 
 def test_a_configuration_warns_when_it_is_made_and_not_again() -> None:
@@ -174,6 +200,8 @@ def numbered(template: Any, start: int = 1) -> tuple[Any, int]:
             values.append(value)
         kind = type(template)
         return (kind(*values) if hasattr(kind, "_fields") else kind(values)), start
+    if isinstance(template, complex):
+        return complex(start, start + 1), start + 2
     return type(template)(start), start + 1
 
 

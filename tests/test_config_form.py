@@ -97,7 +97,7 @@ def test_scenarios_go_round_without_a_warning(scenario: str, followers: int | No
     ids=lambda path: path.name,
 )
 def test_paths_go_round(path: Trajectory) -> None:
-    config = quietly(configure, trajectory=path)
+    config = quietly(configure, trajectory=path, duration=20.0)
     assert FormationConfig.from_dict(through_json(config.to_dict())).trajectory == path
 
 
@@ -125,7 +125,7 @@ def test_what_a_dictionary_leaves_out_is_the_default_of_the_constructor() -> Non
     given: dict[str, Any] = {"rates_tracker": {"k4": 0.7}, "limits": {"lost": 3.0}}
     config = quietly(FormationConfig, **given)
     assert config.rates_tracker == replace(RATES_GAINS, k4=0.7)
-    assert config.limits == Limits(0.2, 1.0, 0.5, 3.0)
+    assert config.limits == Limits(0.353, 1.0, 0.5, 3.0, 15.0)
 
 
 def test_a_dictionary_starts_from_the_scenario_that_it_names() -> None:
@@ -135,9 +135,8 @@ def test_a_dictionary_starts_from_the_scenario_that_it_names() -> None:
     assert config == expected
     assert configure({}) == configure()
     assert configure({"duration": 5.0}) == configure(duration=5.0)
-    assert configure({"noise": [0.1] * 5}, duration=5.0) == configure(
-        noise=Noise(*[0.1] * 5), duration=5.0
-    )
+    each = [0.1] * len(Noise._fields)
+    assert configure({"noise": each}, duration=5.0) == configure(noise=Noise(*each), duration=5.0)
     both = configure({"scenario": "paper", "noise": {"velocity": 0.3}}, noise={"position": 0.1})
     assert both.noise == configure("paper").noise._replace(position=0.1, velocity=0.3)
     assert configure({"scenario": "paper"}, followers=3) == configure("paper", followers=3)
@@ -149,13 +148,14 @@ def test_a_thrust_that_follows_the_mass_follows_it() -> None:
 
 
 def test_lists_are_as_good_as_tuples() -> None:
+    numbers = [0.1 * (k + 1) for k in range(len(Noise._fields))]
     given: dict[str, Any] = {
-        "noise": [0.1, 0.2, 0.3, 0.4, 0.5],
-        "reward": np.array([0.3, 0.05, 0.05, 10.0]),
-        "limits": (0.2, 1.0, 0.5, 10.0),
+        "noise": numbers,
+        "reward": np.array(Rewards()),
+        "limits": tuple(Limits()),
     }
     config = configure(**given)
-    assert config.noise == Noise(0.1, 0.2, 0.3, 0.4, 0.5)
+    assert config.noise == Noise(*numbers)
     assert type(config.reward) is Rewards
     assert type(config.limits) is Limits
 
@@ -211,7 +211,7 @@ def test_a_whole_dictionary_with_something_unknown() -> None:
 
 
 def test_the_constructors_default_where_from_dict_finds_nothing() -> None:
-    assert FormationConfig.from_dict({}) == configure()
+    assert FormationConfig.from_dict({}) == quietly(FormationConfig)
 
 
 def test_other_objects_keep_their_own_checks() -> None:

@@ -35,7 +35,8 @@ for scenario, action, steps in json.loads(sys.argv[1]):
     draw = np.random.default_rng(1)
     for _ in range(steps):
         act = draw.uniform(-0.3, 0.3, env.action_space.shape).astype(np.float32)
-        rows.append(env.step(act)[0])
+        seen, _, ended, _, _ = env.step(act)
+        rows += [seen, env.reset()[0]] if ended else [seen]
     out[scenario + action] = np.array(rows)
 if sys.argv[2] == "hash":
     print(hashlib.sha256(b"".join(a.tobytes() for a in out.values())).hexdigest())
@@ -66,7 +67,8 @@ def rows_of(tasks: Any) -> dict[str, Any]:
         draw = np.random.default_rng(1)
         for _ in range(steps):
             act = draw.uniform(-0.3, 0.3, env.action_space.shape).astype(np.float32)
-            rows.append(env.step(act)[0])
+            seen, _, ended, _, _ = env.step(act)
+            rows += [seen, env.reset()[0]] if ended else [seen]
         out[scenario + action] = np.array(rows)
     return out
 

@@ -16,14 +16,13 @@ from formation_env.laws import world
 from formation_env.laws.world import World
 from formation_env.maths import so3
 from formation_env.maths.so3 import Vector
-from formation_env.memory.records import fields, flatten, line_storer, size
+from formation_env.memory.records import fields, flatten, line_loader, line_storer, size
 from formation_env.physics import disturbances
 from formation_env.physics.disturbances import (
     DISTURBANCES,
     Disturbance,
     Gust,
     Gusts,
-    Parameters,
     States,
     blows,
     gust_push,
@@ -35,6 +34,12 @@ from formation_env.physics.quadrotor import Body
 
 BODY = Body((1.0, 2.0, -3.0), (0.5, -0.25, 0.125), so3.IDENTITY, so3.ZERO)
 CALM = Gust(so3.ZERO)
+(GUSTS,) = (one for one in DISTURBANCES if one.name == "gusts")
+
+
+def all_of(kind: Any, number: float) -> Any:
+    """A record all of whose numbers are this one."""
+    return line_loader(kind)(np.full(size(kind), number))
 
 
 # -- gusts ------------------------------------------------------------------------------------------------
@@ -87,15 +92,8 @@ def test_every_disturbance_has_parameters_in_a_world_and_a_state_that_begins_at_
     assert given_by is one.parameters
     assert fields(States)[one.name] is one.state
     resting = Body(so3.ZERO, so3.ZERO, so3.IDENTITY, so3.ZERO)
-    zero = one.state(*_zeros(one.state))
-    given = given_by(*[0.5] * size(given_by))
-    assert one.push(zero, resting, given) == so3.ZERO
-    assert not one.acts(given_by(*[0.0] * size(given_by)))
-
-
-def _zeros(kind: Any) -> list[Any]:
-    """Zeros for the fields of a record, vectors where these are tuples."""
-    return [0.0 if size(one) == 1 else (0.0,) * size(one) for one in fields(kind).values()]
+    assert one.push(all_of(one.state, 0.0), resting, all_of(given_by, 0.5)) == so3.ZERO
+    assert not one.acts(all_of(given_by, 0.0))
 
 
 class Drag(NamedTuple):
@@ -149,7 +147,7 @@ def two(monkeypatch: pytest.MonkeyPatch) -> Any:
     """The functions of a table of two, made as `world` makes those of the table, in plain Python."""
     table = (
         Disturbance("drag", Drag, drag_of, Wind, is_damped, next_wind, drag_push),
-        *DISTURBANCES,
+        GUSTS,
     )
     states: Any = NamedTuple("States", [(one.name, one.state) for one in table])  # type: ignore[misc]
     monkeypatch.setattr(disturbances, "DISTURBANCES", table)
@@ -202,9 +200,11 @@ def test_two_disturbances_move_on_each_with_its_own_state_and_parameters(two: An
 @PROPERTY
 @given(vectors(3.0), numbers(2.0))
 def test_the_table_of_a_world_is_that_of_its_laws(a: Vector, kick: float) -> None:
-    gusts = Gusts(0.8, kick)
-    line = np.array(flatten(configure().world._replace(disturbances=Parameters(gusts))))
-    states = States(Gust(a))
+    """Of all that may disturb, `nominal` has nothing; here gusts."""
+    gusts, constants = Gusts(0.8, kick), configure().world
+    table = constants.disturbances._replace(gusts=gusts)
+    line = np.array(flatten(constants._replace(disturbances=table)))
+    states = all_of(States, 0.0)._replace(gusts=Gust(a))
     assert bool(world.disturbed(line)) == blows(gusts)
     assert world.next_states(states, BODY, line, 3, 1, 9).gusts == next_gust(
         states.gusts, BODY, gusts, 3, 1, 9
@@ -216,7 +216,7 @@ def test_the_table_of_a_world_is_that_of_its_laws(a: Vector, kick: float) -> Non
 def test_gusts_are_as_strong_whatever_the_control_period(period: float) -> None:
     """In the stationary process the variance is that of the configuration, the correlation exponential."""
     config = configure(control_period=period, gust=0.7, gust_time=0.4)
-    (gusts,) = parameters(config)
+    gusts = parameters(config).gusts
     assert gusts.keep == pytest.approx(np.exp(-period / 0.4))
     assert gusts.kick**2 / (1.0 - gusts.keep**2) == pytest.approx(0.49)
-    assert config.world.disturbances == Parameters(gusts)
+    assert config.world.disturbances == parameters(config)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import subprocess
 import sys
 
@@ -52,6 +53,23 @@ def test_one_bit_changes_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fingerprint, "pilot", other)
     after = list(lines(["nominal"]))
     assert not set(before) & set(after)
+
+
+def test_an_entry_that_is_left_out_changes_no_line() -> None:
+    def told(**more: float) -> list[dict[str, object]]:
+        """One step's `info` of a single environment, and of many with masks and last ones nested."""
+        many = {name: np.array([x, x]) for name, x in (("slots", 1.0), *more.items())}
+        masks = {f"_{name}": np.array([True, True]) for name in many}
+        return [{"slots": 1.0, **more}, {**many, **masks, "final_info": {**many, **masks}}]
+
+    def line(infos: object, without: tuple[str, ...]) -> str:
+        digest = hashlib.sha256()
+        fingerprint._feed(digest, infos, without)
+        return digest.hexdigest()
+
+    assert line(told(reward_new=2.0), ()) != line(told(), ())
+    assert line(told(reward_new=2.0), ("reward_new",)) == line(told(), ())
+    assert line(told(), ("slots",)) != line(told(), ())
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)

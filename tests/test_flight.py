@@ -29,6 +29,7 @@ from formation_env.laws.levels import (
 )
 from formation_env.laws.world import follow, motion, track
 from formation_env.memory.records import LANES, flatten, size
+from formation_env.paths.course import Course
 from formation_env.physics import quadrotor
 from formation_env.physics.quadrotor import MOMENT, RATES, Body, Wrench, saturate
 from formation_env.physics.sensors import Measured, truth
@@ -91,15 +92,41 @@ def test_clocks_move_on_in_the_worlds_that_step() -> None:
     flight.number_samples(counted(tick=tick), counts)
     np.testing.assert_array_equal(counts, tick + 1)
     starts = np.zeros(LANES, np.int64)
-    for lines in (0, 40, int(clock.max()), int(clock.max()) + 1):
-        assert flight.find_lines(counted(clock=clock), lines, 16, starts) == (clock >= lines).sum()
-        np.testing.assert_array_equal(starts, 16 * clock)
+    first = draw.integers(0, 60, LANES)  # of the path, where the episode began
+    for lines in (0, 40, int((clock + first).max()), int((clock + first).max()) + 1):
+        counters = counted(clock=clock, first=first, tick=tick)
+        beyond = flight.find_lines(counters, lines, 16, starts)
+        assert beyond == (clock + first >= lines).sum()
+        np.testing.assert_array_equal(starts, 16 * (clock + first))
+
+
+def test_references_lie_as_each_world_has_its_course() -> None:
+    """Positions and all derivatives: mirrored, east for west, then turned; heights stay."""
+    draw = drawn(2)
+    courses, reference = filled(Course, draw), filled(TrajectoryPoint, draw)
+    rows(courses, Course)["side"][:] = draw.choice([-1.0, 1.0], LANES)
+    before = reference.copy()
+    flight.lay_reference(courses, reference)
+    for lane in range(LANES):
+        course = lane_of(courses, Course, lane)
+        c, s = course["turn"]
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        was, now = (lane_of(x, TrajectoryPoint, lane) for x in (before, reference))
+        for name in TrajectoryPoint._fields:
+            expected = turn @ np.diag([1.0, course["side"], 1.0]) @ was[name]
+            np.testing.assert_allclose(now[name], expected, rtol=1e-13, atol=1e-14)
 
 
 def test_worlds_that_wait_for_the_start_are_counted() -> None:
-    started, noted = drawn(1).integers(0, 2, LANES), np.full(LANES, 7.0)
-    assert flight.note_started(counted(started=started), noted) == (started == 0).sum()
+    """And those noted whose start is overdue: none before the tick of the deadline."""
+    draw = drawn(1)
+    started, tick = draw.integers(0, 2, LANES), draw.integers(48, 53, LANES)
+    noted, overdue = np.full((2, LANES), 7.0)
+    counters = counted(started=started, tick=tick)
+    assert flight.note_started(counters, 50, noted, overdue) == (started == 0).sum()
     np.testing.assert_array_equal(noted, started)
+    np.testing.assert_array_equal(overdue, (started == 0) & (tick >= 50))
+    assert ((started == 0) & (tick == 50)).any()
 
 
 # -- flight -------------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from formation_env import formations, trajectories
 from formation_env._jit import plain
 from formation_env.configuration.placement import MAX_FOLLOWERS
 from formation_env.laws import feasibility, slots
-from formation_env.paths.references import Floats
+from formation_env.paths.references import Floats, by_name
 from formation_env.validation.checks import LONGEST
 
 counts = st.integers(1, 256)
@@ -75,12 +75,12 @@ def test_rigid_formations_keep_their_distances_on_a_curve(name: str) -> None:
     """II-D: the slots of equal `d_x` keep their distances; others come closer or drift apart."""
     d, curve = MAKERS[name](6), trajectories.figure_eight()
     t, h = np.arange(0.0, 10.0, 0.01), 0.01
-    motion = curve(t)
-    v = motion[:, 1, 0] + 1j * motion[:, 1, 1]
+    motion = by_name(curve(t))
+    v = motion["v"][:, 0] + 1j * motion["v"][:, 1]
     spread = []
     for offset in d:
         R, path = v[0] / abs(v[0]), []
-        for p, v0, v1 in zip(motion[:-1, 0], v[:-1], v[1:], strict=True):
+        for p, v0, v1 in zip(motion["p"][:-1], v[:-1], v[1:], strict=True):
             path.append(plain(slots.slot)(R, tuple(p), (v0.real, v0.imag, 0.0), tuple(offset)).p)
             R = plain(slots.advance_heading)(R, v0, v1, offset[0], h)
         spread.append(path)

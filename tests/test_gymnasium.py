@@ -22,17 +22,20 @@ from formation_env.laws.levels import REFERENCE
 from formation_env.physics.quadrotor import GRAVITY
 from formation_env.task import (
     COLLISION,
+    FAILURES,
     IMPACT,
     LOST,
     NEIGHBOUR_ENTRIES,
     NO_FAILURE,
     Layout,
+    Rewards,
     Terms,
 )
 
 PYGAME = importlib.util.find_spec("pygame") is not None
 HOVER = trajectories.hover()
 ABOVE = ((0.5, 0.0, -0.3), (0.5, 0.0, -1.0))  # one follower exactly above the other
+STILL: dict[str, Any] = {"trajectory": HOVER, "start_offset": 0.0, "gust": 0.0}
 
 
 @pytest.mark.parametrize(
@@ -165,8 +168,15 @@ def test_manual_tells_the_defaults() -> None:
     vehicle, limits = config.vehicle, config.limits
     assert f"moment -+({', '.join(map(str, vehicle.moment_max))})" in text
     assert f"rates -+({', '.join(f'{x:g}' for x in vehicle.rate_max)})" in text
-    assert f"scale {config.reward.scale} m" in text
+    weights = config.reward
+    assert f"| reach {weights.reach} m, precision {weights.precision} m |" in text
+    assert f"| waiting {weights.waiting} |" in text
     assert f"closer than {limits.collision} m" in text
+    assert f"`limits.deadline` ({limits.deadline:g} s)" in text
+    assert f"{config.max_steps} in `nominal`" in text
+    codes = re.findall(r"(\d) ([a-z ]+)", text.split("`task.FAILURES`: ")[1].split(" |")[0])
+    assert [int(code) for code, _ in codes] == list(range(len(FAILURES)))
+    assert all(name in said for name, (_, said) in zip(FAILURES, codes, strict=True))
     assert f"more than {limits.lost:g} m from its slot" in text
     assert f"{np.degrees(np.arccos(limits.tilt)):.0f} degrees from level" in text
     assert f"`start_offset` ({config.start_offset} m)" in text
@@ -223,8 +233,7 @@ def test_info_holds_only_arrays(scenario: str) -> None:
 
 @pytest.mark.parametrize("action", LEVELS)
 def test_reward_is_what_the_manual_says(action: str) -> None:
-    weights = {"scale": 0.4, "effort": 0.3, "smoothness": 0.7, "failure": 5.0}
-    rewards = FormationEnv().config.reward._replace(**weights)
+    rewards = Rewards(0.4, 0.06, waiting=0.02, effort=0.3, smoothness=0.7, failure=5.0)
     env = FormationEnv(action=action, reward=rewards)
     k = env.config.action_size
     env.reset(seed=4)
@@ -235,11 +244,14 @@ def test_reward_is_what_the_manual_says(action: str) -> None:
         executed = np.clip(row.reshape(2, k).astype(np.float64), -1.0, 1.0)
         error = np.linalg.norm(info["slots"] - env.simulation.positions[0, 1:], axis=1)
         terms = reward_terms(info)
-        np.testing.assert_allclose(terms["formation"], 1 / (1 + (error / 0.4) ** 2), rtol=1e-12)
+        wide, narrow = 1 / (1 + (error / 0.4) ** 2), 1 / (1 + (error / 0.06) ** 2)
+        np.testing.assert_allclose(terms["formation"], 0.5 * (wide + narrow), rtol=1e-12)
+        np.testing.assert_array_equal(terms["waiting"], 0.0)
         np.testing.assert_allclose(terms["effort"], -0.3 * (executed**2).mean(1), rtol=1e-12)
         change = ((executed - previous) ** 2).mean(1)
         np.testing.assert_allclose(terms["smoothness"], -0.7 * change, rtol=1e-12, atol=1e-15)
-        np.testing.assert_array_equal(terms["failure"], -5.0 * (info["failure"] != NO_FAILURE))
+        failed = bool((info["failure"] != NO_FAILURE).any())
+        np.testing.assert_array_equal(terms["failure"], -5.0 * failed)
         previous = executed
         if over:
             break
@@ -266,25 +278,25 @@ def ticks(travel: float, period: float = 0.02) -> int:
 
 
 def test_without_thrust_it_falls_to_the_floor() -> None:
-    env = FormationEnv(trajectory=HOVER, start_offset=0.0)
+    env = FormationEnv(**STILL)
     last, terminated, truncated, info = run_to_the_end(env, [-1, 0, 0, 0] * 2)
     assert last == ticks(1.2)  # from 1.5 m, 0.3 m below the leader
     assert (terminated, truncated) == (True, False)
     np.testing.assert_array_equal(info["failure"], [IMPACT, IMPACT])
 
 
-def test_only_the_one_that_fails_pays() -> None:
-    env = FormationEnv(trajectory=HOVER, start_offset=0.0)
+def test_all_pay_for_the_one_that_fails() -> None:
+    env = FormationEnv(**STILL)
     _, terminated, _, info = run_to_the_end(env, [-1, 0, 0, 0, 0, 0, 0, 0])
     assert terminated
     np.testing.assert_array_equal(info["failure"], [IMPACT, NO_FAILURE])
-    np.testing.assert_array_equal(info["reward_failure"], [-10.0, 0.0])
+    np.testing.assert_array_equal(info["reward_failure"], [-10.0, -10.0])
 
 
 def test_full_thrust_loses_it() -> None:
     """Action +1 is twice the weight: it climbs at g."""
     limits = Limits(collision=0.2, impact=1.0, tilt=0.5, lost=0.5)
-    env = FormationEnv(trajectory=HOVER, start_offset=0.0, limits=limits)
+    env = FormationEnv(**STILL, limits=limits)
     last, terminated, _, info = run_to_the_end(env, [0, 0, 0, 0, 1, 0, 0, 0])
     assert (last, terminated) == (ticks(0.5), True)
     np.testing.assert_array_equal(info["failure"], [NO_FAILURE, LOST])
@@ -292,7 +304,7 @@ def test_full_thrust_loses_it() -> None:
 
 def test_constant_tilt_loses_it() -> None:
     """A short turn about the body's y axis, then it slides away for good."""
-    env = FormationEnv(trajectory=HOVER, action="rates", duration=60.0)
+    env = FormationEnv(**STILL, action="rates", duration=60.0)
     env.reset(seed=0)
     tilt = np.array([0, 0, 0.3, 0, 0, 0, 0, 0], np.float32)
     for _ in range(5):
@@ -306,18 +318,19 @@ def test_constant_tilt_loses_it() -> None:
 
 
 def test_two_that_meet_collide() -> None:
-    env = FormationEnv(trajectory=HOVER, offsets=ABOVE, start_offset=0.0)
+    env = FormationEnv(**STILL, offsets=ABOVE)
     last, terminated, _, info = run_to_the_end(env, [0, 0, 0, 0, 1, 0, 0, 0])
-    assert (last, terminated) == (ticks(0.7 - 0.2), True)
+    assert (last, terminated) == (ticks(0.7 - 0.353), True)
     np.testing.assert_array_equal(info["failure"], [COLLISION, COLLISION])
-    assert (info["separation"] < 0.2).all()
+    assert (info["separation"] < 0.353).all()
 
 
 def test_meeting_the_leader_is_a_collision() -> None:
     under = ((0.01, 0.0, -0.8),)
-    env = FormationEnv(trajectory=HOVER, offsets=under, start_offset=0.0)
+    env = FormationEnv(**STILL, offsets=under)
     last, _, _, info = run_to_the_end(env, [1, 0, 0, 0])
-    assert last in (ticks(0.6), ticks(0.6) + 1)
+    # It climbs from 0.8 m below the leader; to be 1 cm beside it makes 0.14 mm.
+    assert last in (ticks(0.8 - 0.353), ticks(0.8 - 0.353) + 1)
     assert info["failure"].tolist() == [COLLISION]
 
 
@@ -325,9 +338,7 @@ def test_meeting_the_leader_is_a_collision() -> None:
 def test_a_soft_landing_counts_only_upright(roll: float, fails: bool) -> None:
     """With hard landings allowed, one on the side is still an impact."""
     limits = Limits(collision=0.2, impact=100.0, tilt=0.5, lost=50.0)
-    env = FormationEnv(
-        trajectory=HOVER, action="rates", limits=limits, duration=1.0, start_offset=0.0
-    )
+    env = FormationEnv(**STILL, action="rates", limits=limits, duration=1.0)
     _, terminated, truncated, info = run_to_the_end(env, [-1, 0.4 * roll, 0, 0] * 2)
     assert (terminated, truncated) == (fails, not fails)
     assert (info["failure"] == (IMPACT if fails else NO_FAILURE)).all()
@@ -364,7 +375,9 @@ def test_256_followers_fly() -> None:
     assert stored < 16 * 257 * 1024
     full = Simulation(env.config, 16).get_state().state.values()
     assert sum(array.nbytes for array in full) < 16 * 257 * 1024
-    assert (np.linalg.norm(steps[0][1]["slot_error"], axis=1) <= 0.2 + 1e-12).all()
+    assert (
+        np.linalg.norm(steps[0][1]["slot_error"], axis=1) <= env.config.start_offset + 1e-12
+    ).all()
     rows = env.config.layout.unpack(steps[-1][0].reshape(256, -1))
     p = env.simulation.positions[0, 1:]
     gaps = np.linalg.norm(p[:, None] - p, axis=2)

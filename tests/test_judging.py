@@ -166,56 +166,109 @@ def test_few_are_ordered_by_distance_and_number_too(kept: int) -> None:
 # -- what the followers are shown and paid ------------------------------------------------------------------
 
 LIMITS = Limits(collision=0.2, impact=1.0, tilt=0.5, lost=10.0)
-REWARDS = Rewards(scale=0.3, effort=0.05, smoothness=0.07, failure=10.0)
+REWARDS = Rewards(0.3, 0.05, waiting=0.02, effort=0.05, smoothness=0.07, failure=10.0)
+
+
+def true_error(squares: Any, own: Any, leader: Any) -> float:
+    """m; not a number where the state of one of the two is unsound."""
+    unsound = np.isinf(own["speed"]) or np.isinf(leader["speed"])
+    return float(np.nan if unsound else np.sqrt(squares["error"]))
+
+
+def touches(draw: np.random.Generator) -> Floats:
+    """Touch-downs of all sizes, some of vehicles whose state is unsound."""
+    touch = tile(Touch)
+    rows(touch, Touch)["speed"][:] = draw.choice([0.0, 0.5, 2.0], LANES)
+    rows(touch, Touch)["uprightness"][:] = draw.choice([0.2, 1.0], LANES)
+    return touch
 
 
 @pytest.mark.filterwarnings("ignore:invalid value encountered:RuntimeWarning")
-def test_followers_are_judged_as_one_alone() -> None:
-    """Reward, failure and the next previous action where the world steps; sums in the order of followers."""
+def test_followers_fail_as_one_alone() -> None:
+    """Separation and failure where the world steps; of the world the largest, and whether one failed."""
+    seen = set()
+    for seed in range(24):
+        draw = drawn(seed)
+        active, overdue = flags(draw), draw.choice([0.0, 0.0, 1.0], LANES)
+        squares = draw.choice([0.01, 0.03, 1.0, 400.0], size(Squares) * LANES)
+        touch, leader = touches(draw), touches(draw)
+        rows(leader, Touch)["speed"][:, ::7] = np.inf
+        tally, outcome = tile(Tally), np.full(size(Outcome) * LANES, 7.0)
+        rows(tally, Tally)["failed"][:] = draw.choice([0.0, 0.5], LANES)
+        rows(tally, Tally)["paid"][:] = flags(draw)
+        before, untouched = tally.copy(), outcome.copy()
+        judging.fail(active, overdue, squares, touch, leader, tally, line(LIMITS), outcome)
+        for lane in range(LANES):
+            apart, own = lane_of(squares, Squares, lane), lane_of(touch, Touch, lane)
+            fastest = lane_of(leader, Touch, lane)
+            error, separation = true_error(apart, own, fastest), np.sqrt(apart["separation"])
+            late = bool(overdue[lane])
+            why = task.failure(separation, own["speed"], own["uprightness"], error, late, LIMITS)
+            on = bool(active[lane])
+            failed = on and why != NO_FAILURE
+            if why == NO_FAILURE and fastest["speed"] > LIMITS.impact:
+                why = LEADER
+            found = lane_of(outcome, Outcome, lane)
+            np.testing.assert_allclose(found["separation"], separation)
+            assert found["failed"] == (why if on else 0.0)
+            old, new = lane_of(before, Tally, lane), lane_of(tally, Tally, lane)
+            assert new["failed"] == max(old["failed"], found["failed"])
+            assert new["paid"] == float(old["paid"] or failed)
+            assert new["reward"] == old["reward"] == 0.0
+            seen |= {(why, on)}
+        for name in set(Outcome._fields) - {"separation", "failed"}:
+            np.testing.assert_array_equal(
+                rows(outcome, Outcome)[name], rows(untouched, Outcome)[name]
+            )
+    assert len(seen) == 12  # each way to fail and none, in worlds that step and in others
+
+
+@pytest.mark.filterwarnings("ignore:invalid value encountered:RuntimeWarning")
+def test_followers_are_paid_as_one_alone() -> None:
+    """Reward and the next previous action where the world steps; sums in the order of followers.
+
+    What one of the world has failed in costs each of them.
+    """
     seen = set()
     for seed in range(12):
         draw = drawn(seed)
-        active, squares = flags(draw), draw.choice([0.01, 0.03, 1.0, 400.0], size(Squares) * LANES)
-        touch, leader = tile(Touch), tile(Touch)
-        for one in (touch, leader):
-            rows(one, Touch)["speed"][:] = draw.choice([0.0, 0.5, 2.0], LANES)
-            rows(one, Touch)["uprightness"][:] = draw.choice([0.2, 1.0], LANES)
+        active, started = flags(draw), flags(draw)
+        squares = draw.choice([0.01, 0.03, 1.0, 400.0], size(Squares) * LANES)
+        touch, leader = touches(draw), touches(draw)
         rows(leader, Touch)["speed"][:, ::7] = np.inf
         action, x = draw.uniform(-1.0, 1.0, size(Action) * LANES), filled(Follower, draw)
         tally, outcome = (
             np.abs(draw.normal(size=size(Tally) * LANES)),
             np.full(size(Outcome) * LANES, 7.0),
         )
+        rows(tally, Tally)["paid"][:] = flags(draw)
         was, sums = x.copy(), tally.copy()
-        weights = 3, line(REWARDS), line(LIMITS)
-        judging.judge(active, squares, touch, leader, action, x, tally, *weights, outcome)
+        weights = 3, line(REWARDS)
+        judging.pay(active, started, squares, touch, leader, action, x, tally, *weights, outcome)
         for lane in range(LANES):
             apart, own = lane_of(squares, Squares, lane), lane_of(touch, Touch, lane)
-            fastest = lane_of(leader, Touch, lane)["speed"]
-            error = np.sqrt(apart["error"]) + (np.nan if np.isinf(fastest) else 0.0)
-            separation, a = np.sqrt(apart["separation"]), action.reshape(-1, LANES)[:, lane]
-            why = task.failure(separation, own["speed"], own["uprightness"], error, LIMITS)
+            error, a = (
+                true_error(apart, own, lane_of(leader, Touch, lane)),
+                action.reshape(-1, LANES),
+            )
+            old, new = lane_of(sums, Tally, lane), lane_of(tally, Tally, lane)
             before = lane_of(was, Follower, lane)
-            previous = before["previous"]
-            terms = task.reward(error, tuple(a), previous, 3, why != NO_FAILURE, REWARDS)
-            if why == NO_FAILURE and fastest > LIMITS.impact:
-                why = LEADER
-            on = bool(active[lane])
+            previous, a = before["previous"], action.reshape(-1, LANES)[:, lane]
+            on, going, failed = bool(active[lane]), bool(started[lane]), bool(old["paid"])
+            terms = task.reward(going, error, tuple(a), previous, 3, failed, REWARDS)
             found, after = lane_of(outcome, Outcome, lane), lane_of(x, Follower, lane)
             np.testing.assert_allclose(
                 found["terms"], terms if on else np.zeros(len(terms)), atol=1e-14
             )
             np.testing.assert_allclose(found["reward"], sum(terms) if on else 0.0, atol=1e-14)
-            np.testing.assert_allclose(found["separation"], separation)
-            assert found["failed"] == (why if on else 0.0)
+            assert found["separation"] == found["failed"] == 7.0
             assert found["slot"] == found["slot_error"] == (7.0, 7.0, 7.0)
             assert after["previous"] == (tuple(a) if on else previous)
             assert (after["heading"], after["estimate"]) == (before["heading"], before["estimate"])
-            old, new = lane_of(sums, Tally, lane), lane_of(tally, Tally, lane)
             np.testing.assert_allclose(new["reward"], old["reward"] + found["reward"])
-            assert new["failed"] == max(old["failed"], found["failed"])
-            seen |= {(why, on)}
-    assert len(seen) == 10  # each way to fail and none, in worlds that step and in otfastest
+            assert (new["failed"], new["paid"]) == (old["failed"], old["paid"])
+            seen |= {(on, going, failed, bool(np.isnan(error)))}
+    assert len(seen) == 16
 
 
 def test_a_reward_is_the_sum_of_its_terms() -> None:

@@ -23,7 +23,7 @@ from formation_env.configuration.leader_path import (
     _plainly_flyable,
 )
 from formation_env.laws.feasibility import FeasibilityWarning
-from formation_env.paths.references import Floats
+from formation_env.paths.references import Floats, by_name
 from formation_env.physics.quadrotor import GRAVITY
 from formation_env.task import ANYWHERE, ENTRIES, NEAR, RATE_BOUND, Limits
 from formation_env.trajectories import SINES, Trajectory, circle, line
@@ -184,7 +184,7 @@ def flown(config: FormationConfig) -> tuple[float, bool]:
         _, _, crashed, over, _ = env.step(action)
         step += 1
         leader = env.simulation.positions[0, 0]
-        target = config.trajectory(min(step * config.control_period, config.duration))[0]
+        target = by_name(config.trajectory(min(step * config.control_period, config.duration)))["p"]
         worst = max(worst, float(np.linalg.norm(leader - target)))
     return worst, bool(crashed)
 
@@ -248,7 +248,7 @@ def test_the_demands_are_those_of_differentiation() -> None:
     """Of a circle: `|b|` is constant, `r3d` turns at `V / r` about a cone; checked by differences."""
     curve, lag, h = trajectories.figure_eight((2.0, 1.0), 1.3), 0.05, 1e-3
     times = np.arange(0.0, 10.0, h)
-    b = np.array([0.0, 0.0, GRAVITY]) - curve(times)[:, 2]
+    b = np.array([0.0, 0.0, GRAVITY]) - by_name(curve(times))["a"]
     r3d = b / np.linalg.norm(b, axis=1)[:, None]
     rate: Floats = np.cross(r3d, np.gradient(r3d, h, axis=0))
     turning = np.gradient(rate, h, axis=0)[2:-2]

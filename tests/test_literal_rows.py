@@ -21,6 +21,9 @@ ARRAYS = {
     "followers": (3, 2),
     "counters": (2, 1),
 }
+# What trajectories are called: what they return has one row for each field of `TrajectoryPoint`, before the
+# last place. Its places are as many as the times have, so that any number in an index counts.
+CURVES = ("trajectory", "path", "curve", "drawn", "EIGHT")
 # By themselves these words name other things too: they count as attributes, calls and keys.
 COMMON = ("ends", "vehicles", "samples", "followers")
 
@@ -40,6 +43,25 @@ def name_of(node: ast.expr, aliases: dict[str, str]) -> str:
         case ast.Call(func=ast.Name(id=name) | ast.Attribute(attr=name)):
             return name
     return ""
+
+
+def is_flown(node: ast.expr) -> bool:
+    """Whether it is what a trajectory returns for some times: `config.trajectory(t)`."""
+    match node:
+        case ast.Call(func=ast.Name(id=name) | ast.Attribute(attr=name)):
+            return name in CURVES
+    return False
+
+
+def flown_in(part: ast.stmt) -> set[str]:
+    """Names of what trajectories returned anywhere in a function: `motion` after `motion = curve(t)`."""
+    return {
+        target.id
+        for node in ast.walk(part)
+        if isinstance(node, ast.Assign) and is_flown(node.value)
+        for target in node.targets
+        if isinstance(target, ast.Name)
+    }
 
 
 def aliases_of(part: ast.stmt) -> dict[str, str]:
@@ -129,11 +151,14 @@ def literals(text: str) -> Iterator[tuple[int, str]]:
 def _literals_in(
     part: ast.stmt, constants: dict[str, ast.expr], aliases: dict[str, str]
 ) -> Iterator[tuple[int, str]]:
+    flown = flown_in(part)
     for node in ast.walk(part):
         if not isinstance(node, ast.Subscript):
             continue
         found = None
-        if name_of(node.value, aliases) in ARRAYS:
+        if is_flown(node.value) or (isinstance(node.value, ast.Name) and node.value.id in flown):
+            found = node.slice
+        elif name_of(node.value, aliases) in ARRAYS:
             found = place(node.slice, *ARRAYS[name_of(node.value, aliases)])
         elif is_of_rows(node.value):
             found = place(node.slice, 2, 0)
@@ -169,6 +194,9 @@ def test_no_number_names_a_row_or_column(folder: str, root: Path) -> None:
         "def f():\n    a = flight._state.samples\n    return a[0, 0, 0, 9]",
         "x[3 * LANES + lane] = 0.0",
         "a = x.reshape(-1, LANES)[2:5, lane]",
+        "v = config.trajectory(t)[:, 1]",
+        "p = path(0.0)[0]",
+        "def f():\n    motion = curve(t)\n    return motion[..., 2, :]",
     ],
 )
 def test_a_number_is_noticed(text: str) -> None:
@@ -192,6 +220,8 @@ def test_a_number_is_noticed(text: str) -> None:
         "x[row * LANES + lane] = 0.0",
         "a = x.reshape(-1, LANES)[:, 3]",
         "a = rows(state.counters, Counters)['tick'][0, 0, 3]",
+        "v = by_name(config.trajectory(t))['v'][:, 0]",
+        "def f():\n    motion = curve(t)\n\ndef g(motion):\n    return motion[0]",
         "FAILED = COLUMNS['failed'].start\na = outputs[..., FAILED]",
     ],
 )

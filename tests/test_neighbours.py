@@ -11,7 +11,7 @@ from states import begun, filled, lane_of, measured_in
 
 from formation_env.core import arrays, neighbours
 from formation_env.core.arrays import Squares, rows
-from formation_env.core.neighbours import CROWD
+from formation_env.core.neighbours import MOST_PAIRWISE
 from formation_env.core.simulation import Simulation
 from formation_env.laws.levels import Follower
 from formation_env.memory.records import LANES, bounds, flatten, size
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.filterwarnings(
 )
 
 Floats = npt.NDArray[np.float64]
-MANY = CROWD + 2
+MANY = MOST_PAIRWISE + 2
 HERE = LANES - 3  # worlds in the tile: three lanes are unused
 
 
@@ -106,7 +106,7 @@ def test_separations_are_the_least_distances_to_others(followers: int) -> None:
     squares[:] = apart[0]
     for i in range(followers):
         apart[i + 1, i] = np.inf
-    if followers > CROWD:
+    if followers > MOST_PAIRWISE:
         squares[:] = -1.0
         neighbours.separate_many(memory, room, 0, HERE)
     else:

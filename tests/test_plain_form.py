@@ -47,8 +47,8 @@ from formation_env.validation.plain_form import plain
         (AutoresetMode.SAME_STEP, "SAME_STEP"),
         ({"a": (1, {"b": np.int64(2)})}, {"a": [1, {"b": 2}]}),
         (
-            Limits(0.2, np.float32(1.0), 0.5, 10),
-            {"collision": 0.2, "impact": 1.0, "tilt": 0.5, "lost": 10},
+            Limits(0.2, np.float32(1.0), 0.5, 10, 15.0),
+            {"collision": 0.2, "impact": 1.0, "tilt": 0.5, "lost": 10, "deadline": 15.0},
         ),
         ([Noise(0.0, 0.0, 0.0, 0.0, 0.5)._replace(position=0.25)], None),
     ],

@@ -53,6 +53,13 @@ class Mixed(NamedTuple):
     both: tuple[Inner, Pair]
 
 
+class Half(NamedTuple):
+    """One field has a note, one has none."""
+
+    p: Annotated[float, "of p"]
+    s: float
+
+
 class Larger(NamedTuple):
     """A layout that `Mixed`, `Part` and `Order` are loaded from: more fields, in another order."""
 
@@ -142,6 +149,12 @@ def test_notes_and_bounds_are_those_of_the_annotations() -> None:
     assert records.fields(Bounded) == {"p": tuple[float, float], "s": float}
     assert records.notes(Bounded)["s"] == Quantity("1", "-", "share", 0.5)
     assert records.notes(Mixed) == {}
+
+
+def test_a_field_whose_note_was_forgotten_is_named() -> None:
+    """What bounds a number or tells of it would be missing, and a user's value be left aside."""
+    with pytest.raises(TypeError, match=r"^Half\.s: expected Annotated\[type, note\]"):
+        records.notes(Half)
 
 
 @pytest.mark.parametrize("kind", [str, list[float], tuple[float, ...], dict, None])

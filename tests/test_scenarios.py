@@ -13,6 +13,7 @@ from states import outcome
 from formation_env import configure, scenarios
 from formation_env.core.simulation import Simulation
 from formation_env.env import FormationEnv
+from formation_env.paths.references import by_name
 from formation_env.trajectories import Trajectory
 
 
@@ -58,15 +59,16 @@ def test_any_number_may_follow_in_every_scenario(scenario: str, followers: int) 
 def test_nominal_is_the_papers_pair_on_31() -> None:
     config = configure()
     assert config.offsets == ((0.35, 0.35, -0.3), (0.35, -0.35, -0.3))
-    t = np.linspace(0.0, 20.0, 50)
+    t = np.linspace(0.0, 26.0, 50)
     expected = np.stack([2 * np.cos(0.25 * t), np.sin(0.5 * t), np.full(50, -1.5)], axis=1)
-    np.testing.assert_allclose(config.trajectory(t)[:, 0], expected, atol=1e-12)
+    np.testing.assert_allclose(by_name(config.trajectory(t))["p"], expected, atol=1e-12)
     assert max(config.noise) == 0.0
-    assert (config.control_period, config.substeps, config.duration) == (0.02, 4, 20.0)
+    assert (config.gust, config.gust_time) == (0.04, 0.5)
+    assert (config.control_period, config.substeps, config.duration) == (0.02, 4, 26.0)
 
 
 def test_paper_starts_as_in_iii_c() -> None:
-    world = started("paper")
+    world = started("paper", path="as given")
     np.testing.assert_array_equal(world.positions[0], [[0, 0, 0], [-0.5, -1, 0], [-2, 1, 0]])
     for still in (world.velocities, world.angular_velocities):
         np.testing.assert_array_equal(still, 0.0)
@@ -83,6 +85,28 @@ def test_paper_starts_as_in_iii_c() -> None:
     assert (airframe.mass, airframe.inertia) == (0.1, (1e-3, 1e-3, 2e-3))
 
 
+def test_episodes_cover_the_path() -> None:
+    """Those that start in formation a loop; the others a window of 25 s behind the trigger's deadline."""
+    for name in ("nominal", "swarm"):
+        config = configure(name)
+        assert config.trajectory.period <= config.duration < config.trajectory.period + 1.0
+    for name in ("paper", "experiment"):
+        config = configure(name)
+        assert config.duration == config.limits.deadline + 25.0
+        assert config.trajectory.period <= 25.2
+
+
+@pytest.mark.parametrize("followers", [4, 16, 64])
+def test_a_swarm_turns(followers: int) -> None:
+    """At the same acceleration whatever its size: its vehicles tilt by 10 degrees half of the time."""
+    path = configure("swarm", followers=followers).trajectory
+    flown = by_name(path(np.linspace(0.0, path.period, 2000)))
+    lateral = np.linalg.norm(flown["a"], axis=1)
+    tilt = np.degrees(np.arctan(lateral / 9.81))
+    assert 10.0 < np.median(tilt) < 12.0
+    assert tilt.max() < 20.0
+
+
 def test_experiment_is_section_iv() -> None:
     config = configure("experiment")
     assert config.vehicle.mass == 0.078
@@ -91,12 +115,12 @@ def test_experiment_is_section_iv() -> None:
     assert clock.sample_every * clock.period / clock.substeps == pytest.approx(1.0 / 50.0)
     assert clock.window == 100
     assert config.action == config.leader_actuation == config.reference_actuation == "rates"
-    speed = np.linalg.norm(config.trajectory(np.linspace(0, 30, 200))[:, 1], axis=1)
+    speed = np.linalg.norm(by_name(config.trajectory(np.linspace(0, 30, 200)))["v"], axis=1)
     np.testing.assert_allclose(speed, 0.5, rtol=1e-9)  # (70) as corrected
 
 
 def test_agile_draws_a_new_path_each_episode() -> None:
-    env = FormationEnv("agile")
+    env = FormationEnv("agile", path="as given")
     times = np.linspace(0.0, 20.0, 400)
     paths = []
     for seed in (0, None, None, 7):
@@ -107,8 +131,8 @@ def test_agile_draws_a_new_path_each_episode() -> None:
         motion = Trajectory("drawn", env.config.trajectory.kind, table)(times)
         np.testing.assert_allclose(motion[:, 0], path, atol=1e-12)
         speed = np.linalg.norm(motion[:, 1], axis=1)
-        assert 0.9 - 1e-9 <= speed.min() < speed.max() <= 2.1 + 1e-9
-        assert np.linalg.norm(motion[:, 2], axis=1).max() <= 1.0 + 1e-9
+        assert 1.8 - 1e-9 <= speed.min() < speed.max() <= 4.2 + 1e-9
+        assert np.linalg.norm(motion[:, 2], axis=1).max() <= 2.0 + 1e-9
         paths.append(path)
     for i, path in enumerate(paths):
         for other in paths[i + 1 :]:
@@ -135,8 +159,9 @@ def test_in_formation_followers_start_uniformly_in_a_ball() -> None:
     followers = outcome(simulation.reset(), "slot_error")
     away = followers.reshape(-1, 3)
     r = np.linalg.norm(away, axis=1)
-    assert r.max() <= 0.2
-    assert kstest((r / 0.2) ** 3, "uniform").pvalue > 0.01
+    radius = simulation.config.start_offset
+    assert r.max() <= radius == 0.15
+    assert kstest((r / radius) ** 3, "uniform").pvalue > 0.01
     direction = away / r[:, None]
     for axis in range(3):  # Archimedes: each coordinate of a uniform direction is uniform
         assert kstest(0.5 * (direction[:, axis] + 1.0), "uniform").pvalue > 0.01
@@ -147,7 +172,7 @@ def test_in_formation_followers_start_uniformly_in_a_ball() -> None:
 def test_in_formation_followers_are_level_and_move_with_their_slots() -> None:
     world = started("agile")
     slots = outcome(world.look(), "slot")[0]
-    np.testing.assert_array_equal(world.attitudes[0, 1:], [[1, 0, 0, 0]] * 2)
+    np.testing.assert_array_equal(world.attitudes[0, 1:, 1:3], 0.0)  # turned about the vertical
     np.testing.assert_array_equal(world.angular_velocities[0, 1:], 0.0)
     velocity = world.velocities[0, 1:].copy()
     world.step(np.zeros((1, 2, 4), np.float32))

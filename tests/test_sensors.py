@@ -19,6 +19,7 @@ from formation_env.core.flight import sense_exactly
 from formation_env.core.measuring import measure_with_noise
 from formation_env.core.simulation import Simulation
 from formation_env.memory.records import LANES, size
+from formation_env.paths.references import by_name
 from formation_env.physics.quadrotor import GRAVITY, Wrench
 from formation_env.physics.sensors import Measured, angular_difference, corrupt
 from formation_env.scenarios import PAPER_NOISE
@@ -65,7 +66,7 @@ def inertial(seen: Seen, name: str) -> npt.NDArray[np.float64]:
 
 def test_noise_has_the_stated_sizes() -> None:
     """III-C's levels, every component, over many worlds that rest on the floor."""
-    world, seen = begin(configure("paper"), 4000)
+    world, seen = begin(configure("paper", path="as given"), 4000)
     p = world.positions[:, 1:]
     own_velocity = inertial(seen, "leader_velocity") - inertial(seen, "relative_velocity")
     x, z = inertial(seen, "body_x"), inertial(seen, "body_z")
@@ -222,6 +223,8 @@ ESTIMATED: dict[str, Any] = {
     "action": "rates",
     "limits": FREE,
     "start_offset": 0.0,
+    "gust": 0.0,
+    "path": "as given",
 }
 
 
@@ -252,8 +255,8 @@ def test_leader_acceleration_is_a_moving_average_a_second_late() -> None:
     np.testing.assert_allclose(told, average.T[1:], atol=1e-5)
     t = 0.02 * np.arange(1, 601)
     late = t > 2.0
-    true = world.config.trajectory(t)[:, 2]
-    a_second_ago = world.config.trajectory(t - 1.0)[:, 2]
+    true = by_name(world.config.trajectory(t))["a"]
+    a_second_ago = by_name(world.config.trajectory(t - 1.0))["a"]
     error = np.linalg.norm(told - a_second_ago, axis=1)[late].max()
     assert error < 0.35 * np.linalg.norm(told - true, axis=1)[late].max()
 

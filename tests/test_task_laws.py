@@ -18,7 +18,7 @@ from formation_env.laws.world import Action
 from formation_env.maths import so3
 from formation_env.maths.so3 import Vector
 from formation_env.physics.sensors import Measured
-from formation_env.task import COLLISION, IMPACT, LOST, NO_FAILURE, Layout, Passing
+from formation_env.task import COLLISION, IMPACT, LOST, NO_FAILURE, UNSTARTED, Layout, Passing
 
 MEASURED = st.builds(
     Measured, vectors(5.0), vectors(3.0), vectors(2.0), quaternions(), vectors(4.0)
@@ -99,12 +99,13 @@ LIMITS = Limits(collision=0.2, impact=1.0, tilt=0.5, lost=10.0)
     st.sampled_from([0.0, 0.5, 1.0, 1.5, inf, nan]),
     st.sampled_from([-1.0, 0.4, 0.5, 0.6, 1.0, nan]),
     st.sampled_from([0.0, 9.0, 10.0, 11.0, inf, nan]),
+    st.booleans(),
 )
-def test_the_first_failure_of_three_counts(
-    separation: float, speed: float, upright: float, error: float
+def test_the_first_failure_of_four_counts(
+    separation: float, speed: float, upright: float, error: float, overdue: bool
 ) -> None:
-    """A collision before an impact before a loss; what is exactly at its limit is within it."""
-    expected = NO_FAILURE
+    """A collision before an impact, a loss and a late start; what is exactly at its limit is within it."""
+    expected = UNSTARTED if overdue else NO_FAILURE
     if error > 10.0 or np.isnan(error):
         expected = LOST
     touching = 0.0 < speed < inf
@@ -112,31 +113,37 @@ def test_the_first_failure_of_three_counts(
         expected = IMPACT
     if separation < 0.2:
         expected = COLLISION
-    assert task.failure(separation, speed, upright, error, LIMITS) == expected
+    assert task.failure(separation, speed, upright, error, overdue, LIMITS) == expected
 
 
 # -- the reward -----------------------------------------------------------------------------------------
 
-WEIGHTS = Rewards(scale=0.3, effort=0.05, smoothness=0.07, failure=10.0)
+WEIGHTS = Rewards(0.4, 0.06, waiting=0.02, effort=0.05, smoothness=0.07, failure=10.0)
+CALM: Action = (0.0, 0.0, 0.0, 0.0)
 
 
 @PROPERTY
-@given(numbers(30.0), ACTIONS, ACTIONS, st.sampled_from([3, 4]), st.booleans())
+@given(numbers(30.0), ACTIONS, ACTIONS, st.sampled_from([3, 4]), st.booleans(), st.booleans())
 def test_the_reward_is_what_its_docstring_says(
-    error: float, action: Action, previous: Action, size: int, failed: bool
+    error: float, action: Action, previous: Action, size: int, failed: bool, started: bool
 ) -> None:
-    a, b = np.array(action), np.array(previous)
-    found = task.reward(abs(error), action, previous, size, failed, WEIGHTS)
-    agree(found.formation * (1.0 + (error / 0.3) ** 2), 1.0, 1e-12)
+    a, b, e = np.array(action), np.array(previous), abs(error)
+    found = task.reward(started, e, action, previous, size, failed, WEIGHTS)
+    wide, narrow = 0.4**2 / (0.4**2 + e**2), 0.06**2 / (0.06**2 + e**2)
+    near = (wide + narrow) / 2.0
+    agree(task.closeness(e, WEIGHTS), near, 1e-14)
+    agree(found.formation, near if started else 0.0, 1e-14)
+    agree(found.waiting, 0.0 if started else -0.02 * (1.0 - near), 1e-15)
     agree(found.effort, -0.05 * a @ a / size, 1e-14)
     agree(found.smoothness, -0.07 * (a - b) @ (a - b) / size, 1e-14)
     assert found.failure == (-10.0 if failed else 0.0)
 
 
-@pytest.mark.parametrize(("error", "formation"), [(0.0, 1.0), (0.3, 0.5), (inf, 0.0), (nan, 0.0)])
-def test_the_formation_term_at_its_ends(error: float, formation: float) -> None:
-    calm = (0.0, 0.0, 0.0, 0.0)
-    assert task.reward(error, calm, calm, 4, False, WEIGHTS) == (formation, 0.0, 0.0, 0.0)
+@pytest.mark.parametrize(("error", "near"), [(0.0, 1.0), (inf, 0.0), (nan, 0.0)])
+def test_the_terms_at_the_ends_of_closeness(error: float, near: float) -> None:
+    assert task.reward(True, error, CALM, CALM, 4, False, WEIGHTS) == (near, 0.0, 0.0, 0.0, 0.0)
+    waiting = 0.02 * (near - 1.0)
+    assert task.reward(False, error, CALM, CALM, 4, False, WEIGHTS) == (0.0, waiting, 0.0, 0.0, 0.0)
 
 
 # -- the layout -----------------------------------------------------------------------------------------

@@ -272,14 +272,6 @@ def test_the_tasks_are_others_than_the_one_trained_on() -> None:
 # -- refusals -------------------------------------------------------------------------------------
 
 
-def test_every_option_says_what_it_is_and_its_default() -> None:
-    for action in cards._parser()._actions:
-        words = (action.help or "").split()
-        assert len(words) >= 4, action.option_strings
-        choice = {"--help", "--ship", "--curve", "--generalise"} & set(action.option_strings)
-        assert choice or "(default: " in str(action.help), action.option_strings
-
-
 def test_ship_refuses_what_is_no_finished_run(
     checkout: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

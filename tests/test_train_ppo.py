@@ -270,7 +270,7 @@ def small(folder: Path, **options: Any) -> Options:
 def words(options: Options) -> list[str]:
     """As on a command line."""
     return [
-        *options.command().split()[3:],
+        *options.command().split()[1:],
         "--output",
         str(options.output),
         "--quiet",

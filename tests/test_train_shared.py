@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import re
 import shlex
 from dataclasses import fields
@@ -48,12 +49,15 @@ CHECKED_BY_CONFIGURATION = {"start_offset", "scenario_duration"}
 
 @pytest.mark.parametrize("kind", [PPO, RLlib, ImitateOptions])
 def test_the_command_of_a_run_repeats_its_options(kind: type[RunOptions]) -> None:
-    """Read as a command line, it gives every option back but for those that change no result."""
+    """Read as a command line, it gives every option back but for those that change no result.
+
+    It begins with the script that the help of the command names.
+    """
     names = [f.name for f in fields(kind)]
     options = kind(**{name: OTHER[name] for name in names})
     words = shlex.split(options.command())
-    assert words[:3] == ["python", "-m", kind.program]
-    again = read_options(kind, "script", [*words[3:], "--output", "x"])
+    assert words[0] == importlib.import_module(kind.__module__.rpartition(".")[0]).SCRIPT
+    again = read_options(kind, "script", [*words[1:], "--output", "x"])
     for name in names:
         same = getattr(again, name) == getattr(options, name)
         assert same == (name not in kind.without_effect), name

@@ -153,9 +153,7 @@ def test_a_small_search_improves_detuned_gains(
     assert main([*TINY, "--output", f"{tmp_path / 'a'}", "--gains", f"{gains}"]) == 0
     made = json.loads(gains.read_text())["gains"]["nominal"]["wrench"]["made"]
     assert made["score"][1] > 1.0 and made["return_minus_expert"][1] > 0.0
-    assert made["seed"] == 1 and made["command"].startswith(
-        "python -m train.tune_expert --episodes 4 "
-    )
+    assert made["seed"] == 1 and made["command"].startswith("formation-tune-expert --episodes 4 ")
     assert list(read(gains)) == [("nominal", "wrench")]
 
     # Stopped in the midst of the second choice of feedforward.

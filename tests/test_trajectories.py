@@ -17,7 +17,7 @@ from scipy.special import ellipk, ellipkinc
 
 from formation_env import splines, trajectories
 from formation_env.paths import references
-from formation_env.paths.references import Floats
+from formation_env.paths.references import Floats, by_name
 from formation_env.trajectories import Trajectory
 
 
@@ -33,7 +33,7 @@ def slopes(curve: Trajectory, t: Floats) -> Floats:
 @given(closed_forms)
 def test_each_derivative_is_the_slope_of_the_one_before(curve: Trajectory) -> None:
     t = np.linspace(0.0, min(curve.duration, 20.0), 41)[1:-1] + 0.01
-    exact = curve(t)[:, 1:]
+    exact = np.stack([by_name(curve(t))[name] for name in "vajs"], axis=1)
     scale = 1.0 + np.abs(curve(t)).max()
     np.testing.assert_allclose(slopes(curve, t), exact, rtol=1e-5, atol=1e-6 * scale)
 
@@ -85,12 +85,14 @@ def test_circle_keeps_radius_and_speed(
     r: float, V: float, centre: tuple[float, float], t: float
 ) -> None:
     curve = trajectories.circle(r, V, 2.0, centre)
-    p, v, a = curve(t)[:3]
+    p, v, a, *_ = curve(t)
     assert np.hypot(p[0] - centre[0], p[1] - centre[1]) == pytest.approx(r, rel=1e-12)
     # A positive speed turns from north to east: positive rotation about the axis pointing down.
     assert np.cross(p - [*centre, p[2]], v)[2] == pytest.approx(r * V, rel=1e-12)
     np.testing.assert_allclose(a, -((V / r) ** 2) * (p - [*centre, -2.0]), atol=1e-11)
-    np.testing.assert_allclose(curve(0.0)[0], [centre[0] + r, centre[1], -2.0], atol=1e-12)
+    np.testing.assert_allclose(
+        by_name(curve(0.0))["p"], [centre[0] + r, centre[1], -2.0], atol=1e-12
+    )
 
 
 def test_line_and_hover() -> None:
@@ -123,7 +125,16 @@ def directions() -> list[tuple[Trajectory, complex]]:
 
 @pytest.mark.parametrize(("curve", "expected"), directions(), ids=lambda x: getattr(x, "name", ""))
 def test_start_direction(curve: Trajectory, expected: complex) -> None:
-    assert trajectories.start_direction(curve.kind, curve.table) == pytest.approx(expected)
+    assert trajectories.start_direction(curve.kind, curve.table, 0.0) == pytest.approx(expected)
+
+
+@PROPERTY
+@given(closed_forms, st.floats(0.0, 5.0))
+def test_a_path_that_is_begun_later_leaves_along_its_velocity(curve: Trajectory, t: float) -> None:
+    vx, vy, _ = curve(t)[1]
+    if np.hypot(vx, vy) > 1e-3:
+        expected = complex(vx, vy) / np.hypot(vx, vy)
+        assert trajectories.start_direction(curve.kind, curve.table, t) == pytest.approx(expected)
 
 
 @PROPERTY
@@ -131,15 +142,15 @@ def test_start_direction(curve: Trajectory, expected: complex) -> None:
 def test_random_smooth_keeps_its_bounds(curve: Trajectory, key: int) -> None:
     bounds = curve.random
     assert bounds is not None
-    drawn = curve.drawn(key)
-    p, v, a = np.moveaxis(drawn(np.linspace(0.0, 60.0, 2001))[:, :3], 1, 0)
+    flown = by_name(curve.drawn(key)(np.linspace(0.0, 60.0, 2001)))
+    p, v, a = (flown[name] for name in "pva")
     slack = 1e-9
     planar = np.hypot(v[:, 0], v[:, 1])
     for speed in (planar, np.linalg.norm(v, axis=1)):
         assert bounds.speed_min - slack <= speed.min()
         assert speed.max() <= bounds.speed_max + slack
     assert np.linalg.norm(a, axis=1).max() <= bounds.acceleration_max + slack
-    jerk = np.linalg.norm(drawn(np.linspace(0.0, 60.0, 2001))[:, 3], axis=1)
+    jerk = np.linalg.norm(flown["j"], axis=1)
     assert jerk.max() <= trajectories.FASTEST * bounds.acceleration_max + slack
     curvature = np.abs(v[:, 0] * a[:, 1] - v[:, 1] * a[:, 0]) / planar**3
     assert curvature.max() <= bounds.curvature_max + slack
@@ -180,9 +191,10 @@ def test_waypoints_are_met_from_rest_to_rest(curve: Trajectory) -> None:
     pieces = int(curve.table[0])
     times = curve.table[1 : pieces + 2]
     assert curve.duration == times[-1]
-    ends = curve([times[0], times[-1]])
-    np.testing.assert_allclose(ends[:, 1:4], 0.0, atol=1e-7)
-    assert not curve(0.0)[1:4].any()
+    ends = by_name(curve([times[0], times[-1]]))
+    np.testing.assert_allclose([ends[name] for name in "vaj"], 0.0, atol=1e-7)
+    first = by_name(curve(0.0))
+    assert not any(first[name].any() for name in "vaj")
     # Continuous up to snap, and beyond: the slope of snap too.
     before, after = curve(times[1:-1] - 1e-9), curve(times[1:-1] + 1e-9)
     np.testing.assert_allclose(before, after, atol=1e-5)
@@ -192,8 +204,8 @@ def test_waypoints_pass_through_the_points_in_order() -> None:
     times = [0.0, 1.0, 2.5, 3.0, 6.0]
     points = [[0, 0, -1], [1, 0, -2], [1, 1, -3], [0, 1, -2], [-2, 0, -1]]
     curve = splines.waypoints(times, points)
-    np.testing.assert_allclose(curve(times)[:, 0], points, atol=1e-12)
-    mixed = curve(np.array([[6.0, 1.0], [2.5, 0.0]]))[..., 0, :]
+    np.testing.assert_allclose(by_name(curve(times))["p"], points, atol=1e-12)
+    mixed = by_name(curve(np.array([[6.0, 1.0], [2.5, 0.0]])))["p"]
     np.testing.assert_allclose(mixed, [[points[4], points[1]], [points[2], points[0]]], atol=1e-12)
 
 
@@ -203,7 +215,7 @@ def test_two_waypoints_give_the_known_polynomial() -> None:
     curve = splines.waypoints([0.0, 2.0], [[0.0, 1.0, -1.0], [1.0, 1.0, -3.0]])
     blend = 35 * s**4 - 84 * s**5 + 70 * s**6 - 20 * s**7
     expected = np.stack([blend, np.ones(11), -1.0 - 2.0 * blend], axis=1)
-    np.testing.assert_allclose(curve(2.0 * s)[:, 0], expected, atol=1e-13)
+    np.testing.assert_allclose(by_name(curve(2.0 * s))["p"], expected, atol=1e-13)
 
 
 @PROPERTY
@@ -223,7 +235,7 @@ def test_waypoints_have_the_least_snap(curve: Trajectory, power: int) -> None:
     cross = cost = own = 0.0
     for a, b in pairwise(times):
         t, w = 0.5 * (a + b) + 0.5 * (b - a) * x, 0.5 * (b - a) * weights
-        snap = curve(t)[:, 4, 0]
+        snap = by_name(curve(t))["s"][:, 0]
         cross += w @ (snap * extra(t))
         cost += w @ snap**2
         own += w @ extra(t) ** 2
@@ -235,12 +247,12 @@ def test_a_function_becomes_a_spline_of_eighth_order() -> None:
     t = np.linspace(10.0, 20.0, 501)  # away from the ends, whose error is larger
 
     def error(step: float) -> float:
-        curve = splines.from_function(lambda x: exact(x)[0], 30.0, step)
-        return float(np.abs(curve(t)[:, 0] - exact(t)[:, 0]).max())
+        curve = splines.from_function(lambda x: by_name(exact(x))["p"], 30.0, step)
+        return float(np.abs(by_name(curve(t))["p"] - by_name(exact(t))["p"]).max())
 
     coarse, fine = error(0.2), error(0.1)
     assert 7.7 < np.log2(coarse / fine) < 8.6
-    curve = splines.from_function(lambda x: exact(x)[0], 30.0)
+    curve = splines.from_function(lambda x: by_name(exact(x))["p"], 30.0)
     t = np.linspace(0.0, 30.0, 501)
     worst = np.abs(curve(t) - exact(t)).max(axis=(0, 2))
     assert (worst < [1e-11, 1e-8, 1e-6, 1e-4, 4e-3]).all()
@@ -262,10 +274,10 @@ def test_samples_at_uneven_times_reproduce_a_polynomial() -> None:
 def test_splines_hold_their_ends() -> None:
     times, points = np.arange(9.0), np.stack([np.arange(9.0) ** 2, np.ones(9), -np.ones(9)], axis=1)
     curve = splines.from_samples(times, points)
-    assert curve(8.0)[1, 0] == pytest.approx(16.0)
+    assert by_name(curve(8.0))["v"][0] == pytest.approx(16.0)
     for t, k in ((-0.1, 0), (-50.0, 0), (8.0 + 1e-9, -1), (99.0, -1)):
-        np.testing.assert_allclose(curve(t)[0], points[k], atol=1e-9)
-        assert not curve(t)[1:].any()
+        np.testing.assert_allclose(by_name(curve(t))["p"], points[k], atol=1e-9)
+        assert not any(by_name(curve(t))[name].any() for name in "vajs")
 
 
 def test_a_trajectory_is_compared_and_copied_by_content() -> None:
@@ -290,4 +302,4 @@ def test_a_trajectory_owns_its_table() -> None:
     table = trajectories.hover().table.copy()
     curve = Trajectory("mine", trajectories.SINES, table)
     table[3] = 9.0
-    assert curve(0.0)[0, 2] == -1.5
+    assert by_name(curve(0.0))["p"][2] == -1.5

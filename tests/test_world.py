@@ -15,8 +15,13 @@ from formation_env.core.simulation import Simulation
 from formation_env.physics.quadrotor import GRAVITY
 
 HOVER = trajectories.hover()
-STILL: dict[str, Any] = {"trajectory": HOVER, "start_offset": 0.0}
-FREE = Limits(collision=1e-3, impact=1.0, tilt=0.5, lost=1e3)
+STILL: dict[str, Any] = {
+    "trajectory": HOVER,
+    "path": "as given",
+    "start_offset": 0.0,
+    "gust": 0.0,
+}
+FREE = Limits(collision=1e-3, impact=1.0, tilt=0.5, lost=1e3, deadline=1e9)
 H = 0.02  # s, control period
 NOISE = Noise(0.02, 0.03, 0.04, 0.01, 0.02)
 
@@ -111,7 +116,7 @@ def test_more_substeps_change_nothing_but_the_last_digits() -> None:
 
 def test_a_trimmed_leader_stays_on_a_moving_reference() -> None:
     """It starts with null tracker errors, so the noise-free tracker has nothing to correct."""
-    world = begin(limits=FREE)
+    world = begin(limits=FREE, gust=0.0)
     worst = 0.0
     for k in range(1, 400):
         push(world, [0, 0, 0, 0], 1)
@@ -152,12 +157,30 @@ def test_the_guide_moves_by_the_action() -> None:
 
 @pytest.mark.parametrize("actuation", ["moment", "rates"])
 def test_the_tracker_brings_the_vehicle_to_the_guide(actuation: str) -> None:
-    world = begin(8, action="reference", reference_actuation=actuation, trajectory=HOVER)
-    first = np.linalg.norm(outcome(world.look(), "slot_error"), axis=2)
+    """It lags behind a guide that leaps away and stops; yaw angles differ."""
+    calm: dict[str, Any] = {"trajectory": HOVER, "gust": 0.0, "limits": FREE}
+    world = begin(8, action="reference", reference_actuation=actuation, **calm)
+
+    def behind() -> Any:
+        seen = world.config.layout.unpack(world.look().observations)
+        return np.linalg.norm(seen["guide_position"], axis=2)
+
+    np.testing.assert_allclose(behind(), 0.0, atol=1e-6)
+    for a in (1.0, -1.0):
+        push(world, [0.6 * a, -0.8 * a, 0.0], 15)
+    first = behind()
     push(world, [0, 0, 0], 600)
-    last = np.linalg.norm(outcome(world.look(), "slot_error"), axis=2)
-    assert (first > 0.05).any()
-    assert last.max() < 0.1 * first.max()
+    assert first.min() > 0.05
+    assert behind().max() < 0.1 * first.min()
+
+
+def test_the_guide_begins_at_the_vehicle() -> None:
+    """So that a follower that starts off its slot has the way there before it, and not its tracker."""
+    world = begin(8, action="reference", limits=FREE)
+    seen = world.config.layout.unpack(world.look().observations)
+    for name in ("guide_position", "guide_velocity"):
+        np.testing.assert_array_equal(seen[name], 0.0)
+    assert np.linalg.norm(outcome(world.look(), "slot_error"), axis=2).min() > 1e-3
 
 
 # -- gusts ----------------------------------------------------------------------------------------------
@@ -187,7 +210,8 @@ def test_gusts_have_the_stated_size_and_memory() -> None:
 def test_gusts_start_still() -> None:
     """One tick after the reset it is the kick alone: `size sqrt(1 - keep^2)`."""
     worlds = 2000
-    world = begin(worlds, action="rates", gust=1.0, gust_time=0.2, limits=FREE, **STILL)
+    blown = {**STILL, "gust": 1.0, "gust_time": 0.2}
+    world = begin(worlds, action="rates", limits=FREE, **blown)
     push(world, [0, 0, 0, 0], 1)
     kick = world.velocities[:, 1:] / H
     assert kick.std() == pytest.approx(np.sqrt(1.0 - np.exp(-2 * H / 0.2)), rel=0.03)
@@ -211,8 +235,10 @@ def test_at_rest_on_the_floor_until_thrust_exceeds_weight() -> None:
 
 def test_moments_do_not_tip_over_a_vehicle_that_rests() -> None:
     world = begin(scenario="paper")
+    before = world.attitudes[0, 1:]
+    np.testing.assert_array_equal(before[:, 1:3], 0.0)
     push(world, [-1.0, 1.0, 1.0, 0.0], 20)
-    np.testing.assert_array_equal(world.attitudes[0, 1:], [[1, 0, 0, 0]] * 2)
+    np.testing.assert_array_equal(world.attitudes[0, 1:], before)
 
 
 # -- the trigger (40) -----------------------------------------------------------------------------------
@@ -233,8 +259,8 @@ LATE: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("late", LATE)
 def test_the_trigger_fires_when_all_are_near_and_not_before(late: str) -> None:
     """Until then the slots hang on the first reference point, from then on on the leader itself."""
-    options = LATE[late]
-    world = begin(scenario="paper", action="reference", limits=FREE, **options)
+    options = {"path": "as given", "limits": FREE, **LATE[late]}
+    world = begin(scenario="paper", action="reference", **options)
     first = np.array([2.0, 0.0, -1.5])  # (31) at 0, where it flies east
     waiting = first - np.array([[-0.35, 0.35, -0.3], [0.35, 0.35, -0.3]])
     starts = np.vstack([first, waiting])
@@ -270,7 +296,7 @@ def test_the_trigger_fires_when_all_are_near_and_not_before(late: str) -> None:
 
 
 def test_one_that_stays_behind_holds_the_trigger() -> None:
-    world = begin(scenario="paper", limits=FREE)
+    world = begin(scenario="paper", path="as given", limits=FREE)
     push(world, [-1, 0, 0, 0], 1500)
     assert not world.started[0]
     np.testing.assert_allclose(world.positions[0, 0], [2.0, 0.0, -1.5], atol=0.5)

@@ -28,6 +28,7 @@ from formation_env.laws.slots import Slot
 from formation_env.laws.world import Clock, Reach, World
 from formation_env.maths import so3
 from formation_env.maths.so3 import Quaternion, Vector
+from formation_env.paths.course import Courses
 from formation_env.physics import quadrotor, sensors
 from formation_env.physics.quadrotor import GRAVITY, MOMENT, RATES, Body, Wrench
 from formation_env.physics.sensors import Measured
@@ -158,19 +159,22 @@ def test_a_rate_command_drives_e4_to_zero_through_the_lag(
 
 
 @PROPERTY
-@given(SEEDS, st.floats(0.0, 5.0))
-def test_a_trimmed_vehicle_has_no_tracker_error(seed: int, t: float) -> None:
+@given(SEEDS, st.floats(0.0, 5.0), numbers(np.pi))
+def test_a_trimmed_vehicle_has_no_tracker_error(seed: int, t: float, yaw: float) -> None:
     """All of (48), (49), (62), (65) are zero, and the thrust (54) gives the path's acceleration."""
     ref = TrajectoryPoint(*Sines(seed).at(t))
-    body = world.trimmed(ref, WORLD)
+    body = world.trimmed(ref, yaw, WORLD)
     m = world.motion(Measured(body.p, body.v, so3.ZERO, body.q, body.w))
     agree(np.concatenate(tracker.errors(m, ref, WORLD.tracker)), np.zeros(12), 1e-12)
     thrust = tracker.torque(m, ref, FRAME.mass, WORLD.tracker).thrust
     agree(GRAVITY * np.array([0.0, 0.0, 1.0]) - thrust / FRAME.mass * matrix(body.q)[:, 2], ref.a)
+    straight = matrix(world.trimmed(ref, 0.0, WORLD).q)
+    agree(straight[1, 0], straight[0, 1], 1e-12)  # the nearest to level turns about no third axis
+    agree(matrix(body.q), straight @ Rotation.from_rotvec([0.0, 0.0, yaw]).as_matrix(), 1e-12)
 
 
 def test_starts_fill_a_ball_evenly() -> None:
-    """`(r / radius)^3` is uniform, every direction alike, at the slot's velocity, level and calm."""
+    """`(r / radius)^3` is uniform, every direction and yaw alike, at the slot's velocity, level and calm."""
     slot = Slot((1.0, 2.0, -3.0), (0.3, -0.2, 0.1))
     bodies = [world.near(slot, key, 3, WORLD) for key in range(3000)]
     away = np.array([body.p for body in bodies]) - slot.p
@@ -180,15 +184,24 @@ def test_starts_fill_a_ball_evenly() -> None:
         assert stats.kstest(away[:, axis] / r, "uniform", (-1.0, 2.0)).pvalue > 1e-3
     assert np.abs(np.corrcoef(away.T) - np.eye(3)).max() < 0.08
     assert abs(np.corrcoef(r, away[:, 2] / r)[0, 1]) < 0.08
-    assert {(body.v, body.q, body.w) for body in bodies} == {(slot.v, so3.IDENTITY, so3.ZERO)}
+    assert {(body.v, *body.q[1:3], body.w) for body in bodies} == {(slot.v, 0.0, 0.0, so3.ZERO)}
+    yaw = 2.0 * np.arctan2([body.q[3] for body in bodies], [body.q[0] for body in bodies])
+    yaw = (yaw + np.pi) % (2.0 * np.pi) - np.pi
+    assert stats.kstest(yaw, "uniform", (-np.pi, 2.0 * np.pi)).pvalue > 1e-3
+    assert np.abs(np.corrcoef([yaw, r, *away.T])[0, 1:]).max() < 0.08
     assert world.near(slot, 5, 1, WORLD) != world.near(slot, 5, 2, WORLD)
+    straight = world.near(slot, 5, 1, WORLD._replace(courses=Courses(0, 0, 0)))
+    assert straight == world.near(slot, 5, 1, WORLD)._replace(q=so3.IDENTITY)
 
 
 @PROPERTY
-@given(vectors(3.0))
-def test_waiting_and_resting_are_without_motion(p: Vector) -> None:
+@given(vectors(3.0), numbers(np.pi))
+def test_waiting_and_resting_are_without_motion(p: Vector, yaw: float) -> None:
     assert world.hold_at(p) == TrajectoryPoint(p, so3.ZERO, so3.ZERO, so3.ZERO, so3.ZERO)
-    assert world.resting(p) == Body(p, so3.ZERO, so3.IDENTITY, so3.ZERO)
+    assert world.resting(p, 0.0) == Body(p, so3.ZERO, so3.IDENTITY, so3.ZERO)
+    turned_body = world.resting(p, yaw)
+    assert turned_body._replace(q=so3.IDENTITY) == world.resting(p, 0.0)
+    agree(matrix(turned_body.q) @ (1.0, 2.0, 3.0), turned(yaw, (1.0, 2.0, 3.0)), 1e-14)
 
 
 @PROPERTY

@@ -13,6 +13,14 @@ from baselines.system import console
 
 T = TypeVar("T")
 
+# The console scripts of the commands, by package: here, since both a command and its options name it.
+SCRIPTS = {
+    "train.imitate": "formation-train-imitate",
+    "train.ppo": "formation-train-ppo",
+    "train.rllib": "formation-train-rllib",
+    "train.tune_expert": "formation-tune-expert",
+}
+
 
 def flag(name: str) -> str:
     """The option that sets a field."""

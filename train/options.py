@@ -19,6 +19,10 @@ from train.command_line import flag, refuse
 
 Ranges = Mapping[str, tuple[float, float]]  # least and largest value of an option, by name
 
+# The names of the action levels, of which help lists the choices. Type checkers do not compute a type, so it
+# is written out; `tests/test_level_lists.py` holds it to the table.
+ActionLevel = Literal["wrench", "rates", "reference"]
+
 # Standard deviation of the exploration at the start, by action level, in units of the largest action:
 # about how far apart the actions are that matter.
 STD = {level.name: level.exploration for level in LEVELS}
@@ -35,8 +39,8 @@ class RunOptions:
     """Folder for the best policy and the log; made if it is not there."""
     scenario: str = "nominal"
     """Name of the scenario that is trained on: nominal, paper, experiment, agile or swarm."""
-    action: Literal["wrench", "rates", "reference"] | None = None
-    """Action level: wrench, rates or reference; by default the scenario's own."""
+    action: ActionLevel | None = None
+    """Action level; by default the scenario's own."""
     seed: int = 0
     """Seed of all random numbers: initial weights, episodes, exploration, order of the samples."""
     hidden: tuple[int, ...] = (64, 64)
@@ -53,7 +57,7 @@ class RunOptions:
     """Print errors only: no progress bar and no summary."""
 
     # Of the class, not options themselves.
-    program: ClassVar[str]  # module that `python -m` runs
+    script: ClassVar[str]  # the console script
     without_effect: ClassVar[tuple[str, ...]]  # options that change no result
     integers: ClassVar[Ranges] = {
         "seed": (0, 2**32 - 1),
@@ -91,7 +95,7 @@ class RunOptions:
         """The command that repeats the run: with every option that is not its default, but for those
         that change no result."""
         return repeating_command(
-            self.program, self.to_json(), defaults(type(self)), self.without_effect
+            self.script, self.to_json(), defaults(type(self)), self.without_effect
         )
 
 
@@ -115,10 +119,10 @@ def _default(field: Field[Any]) -> Any:
 
 
 def repeating_command(
-    program: str, values: Mapping[str, Any], usual: Mapping[str, Any], without: tuple[str, ...]
+    script: str, values: Mapping[str, Any], usual: Mapping[str, Any], without: tuple[str, ...]
 ) -> str:
-    """`python -m program` with the `values` that are not the `usual` ones, none of those named `without`."""
-    words = ["python", "-m", program]
+    """A console script with the `values` that are not the `usual` ones, none of those named `without`."""
+    words = [script]
     for name, value in values.items():
         if name not in without and value != usual[name]:
             words += [flag(name), *map(str, value if isinstance(value, tuple) else (value,))]
@@ -164,7 +168,7 @@ class PPOOptions(RunOptions):
     """Largest norm of a gradient; a larger one is scaled down to it."""
     std: float | None = None
     """Standard deviation of the actions at the start, in units of the largest action.
-    By default 0.05 at action levels wrench and rates, and 0.3 at reference."""
+    By default that of the action level, `exploration` in formation_env/laws/levels.py."""
 
     evaluate_every: int = 1_000_000
     """Number of agent steps between two evaluations."""

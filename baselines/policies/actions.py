@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from formation_env._jit import device
 from formation_env.maths.elementary import pick
+from formation_env.memory import shuffles
 
 Rows = NDArray[np.float32]
 
@@ -16,7 +17,7 @@ Rows = NDArray[np.float32]
 @device
 def clipped_or_zero(a: float) -> float:
     """An entry of an action within [-1, 1]; 0, which hovers, for what is not a number."""
-    return pick(a == a, min(max(a, -1.0), 1.0), 0.0)
+    return pick(a == a, shuffles.clipped(a), 0.0)
 
 
 def clipped(actions: NDArray[Any]) -> Rows:

@@ -20,6 +20,7 @@ from baselines.policies.expert_lanes import (
     OBSERVED,
     ROOM,
     VIRTUAL,
+    WAITS,
     Measurements,
     decide,
     load_observation,
@@ -172,7 +173,7 @@ class Expert(Policy):
 
     def begin_again(self, mask: NDArray[np.bool_]) -> None:
         rows = np.flatnonzero(np.repeat(mask, self.config.followers))
-        self._memory[rows // LANES, rows % LANES] = np.nan
+        self._memory[rows // LANES, int(WAITS) + rows % LANES] = np.nan
         self._fresh = True
 
     def decide(self, rows: Rows) -> Rows:

@@ -25,6 +25,7 @@ from formation_env.maths.elementary import phase, pick
 from formation_env.maths.so3 import ZERO, Vector, add, cross, pick_vector, scale, sub
 from formation_env.memory.records import (
     LANES,
+    at,
     define,
     keeper,
     line_loader,
@@ -69,6 +70,8 @@ planner_law, read_world = line_loader(PlannerLaw), line_loader(World)
 # Rows of a tile: of virtual followers, of their trajectories, of actions, of what is read of observations.
 VIRTUAL, _TRAJECTORY, _ACTION = size(Virtual), size(TrajectoryPoint), size(Action)
 OBSERVED, _GUIDED = size(Observation), size(Guided)
+# Where in a tile of virtual followers it says, by NaN, that one waits for its start.
+WAITS = np.uint64(at(Virtual, "p") * LANES)
 # Where a virtual follower counts as lost: m, rad, m/s, rad/s, m s. Flights stay far below, and the powers
 # of it that the laws take stay far from where float64 ends.
 FAR = 1e6
@@ -114,10 +117,10 @@ in_reach = device(
 
 @device
 def waiting(x: Any) -> bool:
-    """Does a virtual follower of the tile wait for its start? Its first number is NaN then."""
+    """Does a virtual follower of the tile wait for its start? Its position is NaN then."""
     any_waits = False
-    for lane in range(LANES):
-        any_waits = any_waits or x[lane] != x[lane]
+    for lane in range(_LANES):
+        any_waits = any_waits or x[WAITS + lane] != x[WAITS + lane]
     return any_waits
 
 
@@ -128,7 +131,7 @@ def start(rows: Any, x: Any) -> None:
     for lane in range(_LANES):
         m = measurements(load_observation(rows, lane))
         f = place(m.leader.p, m.leader.v, m.offset, m.heading, m.started)
-        keep_virtual(x, lane, x[lane] != x[lane], f)
+        keep_virtual(x, lane, x[WAITS + lane] != x[WAITS + lane], f)
 
 
 @device
@@ -160,7 +163,7 @@ def _plan(
     m, f = measurements(load_observation(rows, lane)), load_virtual(x, lane)
     _store_point(points, lane, point_of(f, m.leader, m.offset, m.started, law, derived))
     keep_virtual(x, lane, m.started, advance(f, m.leader, m.offset, h, law))
-    x[lane] = pick(in_reach(load_virtual(x, lane)), x[lane], np.nan)
+    x[WAITS + lane] = pick(in_reach(load_virtual(x, lane)), x[WAITS + lane], np.nan)
 
 
 @loop
@@ -293,7 +296,7 @@ def decide(
     """One decision for every row `(N, entries)`; `fresh` if a virtual follower may wait for its start.
     Returns whether one does for the next decision.
 
-    `memory` `(tiles, VIRTUAL L)` are the virtual followers, first number NaN where an episode begins; `space`
+    `memory` `(tiles, VIRTUAL L)` are the virtual followers, position NaN where an episode begins; `space`
     of `ROOM` numbers is overwritten.
     """
     world, room = read_world(settings), open_room(space)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from baselines.files import located as told
+from baselines.files import located
 from baselines.system.reading import file_name, read_bytes
 from formation_env import FormationConfig
 from formation_env.laws.levels import NAMES as LEVEL_NAMES
@@ -52,12 +52,12 @@ def read_table(path: str | os.PathLike[str], parse: Parse[Found]) -> Table[Found
             for action, entry in as_object(actions, scenario).items()
         }
     except OSError as problem:
-        raise ValueError(told(path, f"{problem.strerror}; expected a file of gains")) from None
+        raise ValueError(located(path, f"{problem.strerror}; expected a file of gains")) from None
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as problem:
         reason = "nested too deep" if isinstance(problem, RecursionError) else problem
-        raise ValueError(told(path, f"{reason}; expected JSON")) from None
+        raise ValueError(located(path, f"{reason}; expected JSON")) from None
     except ValueError as problem:
-        raise ValueError(told(path, problem)) from None
+        raise ValueError(located(path, problem)) from None
 
 
 def _named_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

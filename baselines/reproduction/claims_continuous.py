@@ -9,7 +9,7 @@ import numpy as np
 from baselines.reproduction.claims import SILENT, SOUND, Claim
 from baselines.reproduction.continuous import OFFSETS, Flight, Planar, planar
 from formation_env.laws.feasibility import equilibrium
-from formation_env.paths.references import Floats
+from formation_env.paths.references import Floats, by_name
 from formation_env.trajectories import circle
 
 CONVERGED = 0.05  # of an error's largest value
@@ -120,7 +120,7 @@ def heading_on_a_circle(duration: float = 60.0, radius: float = 1.5, speed: floa
     """The planner behind a leader on a circle: does the heading end at (28)?"""
     path = circle(radius, speed)
     m = planar(duration, 0.05, path)
-    v = path(m.t[-1:])[0, 1]
+    v = by_name(path(m.t[-1]))["v"]
     theta_d = _wrapped(m.theta[-1] - np.arctan2(v[1], v[0]))
     wanted = equilibrium(OFFSETS[0][0], 1.0 / radius)
     gap = float(np.abs(theta_d - wanted).max())

@@ -26,7 +26,7 @@ from formation_env.laws.tracker import errors as tracker_errors
 from formation_env.laws.tracker import outer as tracker_outer
 from formation_env.maths.so3 import ZERO, Vector, dot, normalise, rotation
 from formation_env.memory.records import flatten, line_loader, line_storer, size, slices
-from formation_env.paths.references import Floats, TrajectoryPoint, evaluate
+from formation_env.paths.references import Floats, TrajectoryPoint, by_name, evaluate
 from formation_env.physics.quadrotor import MOMENT, Airframe, Body, Wrench, moment
 from formation_env.physics.quadrotor import derivative as body_derivative
 from formation_env.trajectories import Trajectory, figure_eight
@@ -190,7 +190,7 @@ def planar(duration: float = 60.0, step: float = 0.02, path: Trajectory = EIGHT)
     y = integrate(_planar_rate, np.array(flatten(STARTS)), t, *fixed)
     errors = fields_of(PlanarErrors, _planar_errors(t, y, *fixed))
     x = fields_of(PlanarState, y.reshape(len(t), len(OFFSETS), _PLANAR))
-    leader = path(t)[:, 0, :2]
+    leader = by_name(path(t))["p"][:, :2]
     return Planar(t, leader, x["p"], x["theta"], x["u"], x["omega"], **errors)
 
 
@@ -253,4 +253,4 @@ def flight(duration: float = 30.0, step: float = 0.01) -> Flight:
     errors = fields_of(FlightErrors, _flight_history(t, y, *fixed))
     x = fields_of(Body, y)
     q = x["q"] / np.linalg.norm(x["q"], axis=1, keepdims=True)
-    return Flight(t, x["p"], q, EIGHT(t)[:, 0], **errors)
+    return Flight(t, x["p"], q, by_name(EIGHT(t))["p"], **errors)

@@ -91,7 +91,9 @@ def _pair_start(kind: int, table: Floats, d: Floats, planner: PlannerLaw, world:
     f = place(leader.p, leader.v, vector(d), v / abs(v), True)
     y = np.empty(_FOLLOWER + BODY)
     _write_follower(y, f)
-    put_body(y[_FOLLOWER:], trimmed(full_trajectory_point(f, leader, vector(d), planner), world))
+    put_body(
+        y[_FOLLOWER:], trimmed(full_trajectory_point(f, leader, vector(d), planner), 0.0, world)
+    )
     return y
 
 

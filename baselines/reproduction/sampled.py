@@ -87,7 +87,7 @@ def fly(
     The leader and followers 1 and 2 as in the paper. Raises `RuntimeError` if the trigger of some
     world has not fired after two minutes.
     """
-    config = configure(scenario, duration=after + PATIENCE, **overrides)
+    config = configure(scenario, **{"path": "as given", "duration": after + PATIENCE, **overrides})
     simulation = Simulation(config, worlds)
     for world in range(worlds):
         simulation.seed(world, seeded_key(seed + world))

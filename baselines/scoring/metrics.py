@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from formation_env import FormationConfig
 from formation_env._jit import device, kernel
 from formation_env.maths.so3 import Vector, dot, sub
+from formation_env.memory.shuffles import clipped
 from formation_env.task import COLUMNS, FAILED, FAILURES, SEPARATION, distance
 
 Floats = NDArray[np.float64]
@@ -169,8 +170,8 @@ def _score_actions(t: Tally, w: int, actions: Any, before: Any) -> None:
     effort, change = 0.0, 0.0
     for i in range(n):
         for k in range(size):
-            a = min(max(np.float64(actions[i, k]), -1.0), 1.0)
-            b = min(max(np.float64(before[i, k]), -1.0), 1.0)
+            a = clipped(np.float64(actions[i, k]))
+            b = clipped(np.float64(before[i, k]))
             effort += a * a
             change += (a - b) * (a - b)
     t.squared_actions[w] += effort / (n * size)

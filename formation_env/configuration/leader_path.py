@@ -28,7 +28,7 @@ import numpy as np
 from formation_env.maths.so3 import Vector
 from formation_env.paths import tables
 from formation_env.paths.random_paths import FASTEST
-from formation_env.paths.references import FAMILIES, Floats
+from formation_env.paths.references import FAMILIES, Floats, by_name
 from formation_env.paths.trajectory import Trajectory
 from formation_env.physics.quadrotor import GRAVITY, RATES
 from formation_env.physics.vehicle import Vehicle
@@ -280,7 +280,7 @@ def _require_starts_near(trajectory: Trajectory, starts: Sequence[tuple[str, Vec
         expected = f"coordinates within {ANYWHERE:g} m, the bound of an observed position"
         require(within, name, point, f"{expected}: move the origin to the path")
     if starts and trajectory.random is None:
-        first = trajectory(0.0)[0]
+        first = by_name(trajectory(0.0))["p"]
         for name, point in starts:
             apart = float(np.linalg.norm(first - point))
             if apart > NEAR:

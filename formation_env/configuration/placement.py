@@ -11,6 +11,7 @@ import numpy as np
 
 from formation_env.formations import MAX_FOLLOWERS, min_separation
 from formation_env.maths.so3 import Vector
+from formation_env.paths.references import by_name
 from formation_env.trajectories import Trajectory
 from formation_env.validation.checks import require
 
@@ -34,7 +35,7 @@ def lowest(trajectory: Trajectory, duration: float) -> float:
         return -trajectory.random.height + trajectory.random.climb
     span = judged(trajectory, min(duration, trajectory.duration))
     times = np.linspace(0.0, span, max(501, ceil(span / 0.04) + 1))
-    return float(trajectory(times)[:, 0, 2].max())
+    return float(by_name(trajectory(times))["p"][:, 2].max())
 
 
 def check_offsets(

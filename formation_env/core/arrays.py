@@ -19,6 +19,7 @@ from formation_env.maths.rng import philox
 from formation_env.memory.records import LANES, flatten, line_loader, part_loader, size, slices
 from formation_env.memory.shuffles import carve
 from formation_env.memory.store import Floats, Store, size_reader
+from formation_env.paths.course import Course
 from formation_env.physics.disturbances import DISTURBANCES, States
 from formation_env.physics.quadrotor import Wrench
 from formation_env.physics.sensors import Measured, silent
@@ -55,6 +56,7 @@ class Sizes(NamedTuple):
     neighbours: int
     action_size: int
     max_steps: int
+    deadline: int  # ticks within which the trigger (40) has to fire
     level: int
     vehicle_rows: int
     follower_rows: int
@@ -69,6 +71,7 @@ class Counters(NamedTuple):
     clock: int  # ticks since then
     episode: int  # its number, -1 before the first
     over: int  # whether the episode has ended, or none has begun
+    first: int  # tick of the leader's path that the episode began with
 
 
 class Touch(NamedTuple):
@@ -98,6 +101,7 @@ class Tally(NamedTuple):
 
     reward: float  # the sum
     failed: float  # whether one has: 0 or the largest index into FAILURES
+    paid: bool  # whether one has by itself
 
 
 class Verdict(NamedTuple):
@@ -118,7 +122,8 @@ rewards = _field("rewards", lambda z: (size(Rewards),))
 limits = _field("limits", lambda z: (size(Limits),))
 bound_of_turning = _field("bound_of_turning", lambda z: (size(Turning),))
 offset = _field("offsets", lambda z: (z.vehicles - 1, 3))  # d, m
-# m, where vehicles stand on the ground; leader first
+# m, where vehicles stand on the ground, leader first: inertial, or where the path's course is drawn in the
+# frame of its first point and direction
 start = _field("starts", lambda z: (z.vehicles, 3))
 drawing = _field("drawing", lambda z: (z.drawing,))  # bounds of a random trajectory
 references = _field("references", lambda z: (z.references * LINE,))  # the leader's, tick by tick
@@ -131,6 +136,7 @@ follower = _field("followers", lambda z: (z.tiles, z.vehicles - 1, z.follower_ro
 # m/s, the leader's last measured velocities
 speed = _field("speeds", lambda z: (z.worlds, z.window, 3))
 begin = _field("begins", lambda z: (z.tiles, 3 * LANES))  # m, the leader's first reference point
+course = _field("courses", lambda z: (z.tiles, size(Course) * LANES))
 table = _field("tables", lambda z: (z.tables, z.table))  # of the leader's trajectory
 counters = _field("counters", lambda z: (z.tiles, size(Counters) * LANES), np.int64)
 key = _field("keys", lambda z: (z.tiles, LANES), np.uint64)  # of the random stream
@@ -146,6 +152,7 @@ named = _field("named", lambda z: (LANES,), np.bool_)  # worlds meant, of a tile
 active = _field("active", lambda z: (LANES,))  # 1 for worlds that step, else 0
 moving = _field("moving", lambda z: (LANES,))  # 1 for those whose trigger had fired before the tick
 started = _field("started", lambda z: (LANES,))  # 1 for those whose trigger has fired
+overdue = _field("overdue", lambda z: (LANES,))  # 1 for those whose trigger has not and should have
 tally = _field("tally", lambda z: (size(Tally) * LANES,))
 verdict = _field("verdict", lambda z: (size(Verdict) * LANES,))
 # m/s, the leader's in the plane, true and as measured
@@ -202,14 +209,15 @@ family, neighbours, action_size, max_steps, level = (
     size_reader(Sizes, name)
     for name in ("family", "neighbours", "action_size", "max_steps", "level")
 )
-window, vehicle_rows, follower_rows, measuring = (
-    size_reader(Sizes, name) for name in ("window", "vehicle_rows", "follower_rows", "measuring")
+window, vehicle_rows, follower_rows, measuring, deadline = (
+    size_reader(Sizes, name)
+    for name in ("window", "vehicle_rows", "follower_rows", "measuring", "deadline")
 )
 read_world = line_loader(World)
 read_clock, read_airframe, read_noise = (
     part_loader(World, name) for name in ("clock", "airframe", "noise")
 )
-read_trigger = part_loader(World, "trigger")
+read_trigger, read_courses = part_loader(World, "trigger"), part_loader(World, "courses")
 read_leader_actuation, read_follower_actuation = (
     part_loader(World, f"{flown}_actuation") for flown in ("leader", "follower")
 )
@@ -263,8 +271,9 @@ class State(NamedTuple):
     followers: Floats  # (T, n, S L): `levels.follower_layout`
     speeds: Floats  # (W, N, 3): ring of the leader's measured velocities
     begins: Floats  # (T, 3 L): the leader's first reference point
+    courses: Floats  # (T, 3 L): `Course`, how it lies
     tables: Floats  # (W or 1, numbers): the leader's trajectory
-    counters: NDArray[np.int64]  # (T, 5 L): `Counters`
+    counters: NDArray[np.int64]  # (T, 6 L): `Counters`
     keys: NDArray[np.uint64]  # (T, L): of the streams
     episode_keys: NDArray[np.uint64]  # (T, L): of the episodes
 
@@ -302,6 +311,7 @@ def allocate(config: FormationConfig, worlds: int, max_steps: int, table_of: Flo
         neighbours=config.neighbours,
         action_size=config.action_size,
         max_steps=max_steps,
+        deadline=config.deadline_steps,
         level=constant.level,
         vehicle_rows=size(Measured) + (size(States) if disturbed else 0),
         follower_rows=size(follower_layout(state)),
@@ -315,7 +325,7 @@ def allocate(config: FormationConfig, worlds: int, max_steps: int, table_of: Flo
         flatten(config.limits),
         flatten(turning(constant.airframe, clock.period, clock.substeps)),
         config.offsets,
-        config.ground_starts(),
+        config.ground_places(),
         bounds,
         table_of.reshape(-1),
     )
@@ -328,6 +338,8 @@ def allocate(config: FormationConfig, worlds: int, max_steps: int, table_of: Flo
     # No start is waited for in the lanes without a world.
     count["started"][:, 0] = np.arange(sizes.tiles * LANES).reshape(-1, LANES) >= worlds
     # These lanes are computed all the same: with an attitude, so that nothing divides by 0.
+    course_rows = rows(views["courses"], Course)
+    course_rows["turn"][:, 0] = course_rows["side"][...] = 1.0
     for name in ("vehicles", "samples"):
         rows(views[name], Measured)["q"][..., 0, :] = 1.0
     return memory

@@ -10,18 +10,22 @@ from formation_env._jit import cold, step
 from formation_env.core import arrays
 from formation_env.core.arrays import Counters
 from formation_env.laws.levels import Follower, begin_level
-from formation_env.laws.slots import slot
-from formation_env.laws.world import near, resting, trimmed
+from formation_env.laws.slots import Slot, out_of_frame, slot
+from formation_env.laws.world import near, resting, start_yaw, trimmed
 from formation_env.maths.so3 import ZERO, Vector
 from formation_env.memory.records import LANES, at, line_loader, line_storer, storer
+from formation_env.paths.course import Course, draw_course, lay_direction, lay_point
 from formation_env.physics.quadrotor import Body
 from formation_env.physics.sensors import Measured, corrupt, silent
 from formation_env.physics.sensors import exact as exact_measurement
 from formation_env.trajectories import draw, evaluate, start_direction
 
-_TICK, _STARTED, _CLOCK, _EPISODE, _OVER = (at(Counters, n) * LANES for n in Counters._fields)
+_TICK, _STARTED, _CLOCK, _EPISODE, _OVER, _FIRST = (
+    at(Counters, n) * LANES for n in Counters._fields
+)
 _read_point, _write_point, _store_point = line_loader(Vector), line_storer(Vector), storer(Vector)
 _store_measured, _store_follower = storer(Measured), storer(Follower)
+_store_course = storer(Course)
 _STILL = (0.0, 0.0, 0.0, 0.0)
 
 
@@ -63,6 +67,16 @@ def fill_lanes(memory: Any, w: int) -> None:
         fill_rows(arrays.follower(memory, t, i), lane)
 
 
+@step
+def stand(memory: Any, i: int, R: complex, begin: Vector, world: Any) -> Vector:
+    """Where vehicle `i` stands on the floor; the path begins at `begin` in the direction `R`."""
+    place = _read_point(arrays.start(memory, i))
+    if world.courses.drawn:
+        apart = out_of_frame(R, place)
+        place = (begin[0] + apart[0], begin[1] + apart[1], place[2])
+    return place  # type: ignore[no-any-return]
+
+
 @cold
 def start_episode(memory: Any, room: Any, w: int) -> None:
     """Start the next episode of world `w`."""
@@ -76,25 +90,34 @@ def start_episode(memory: Any, room: Any, w: int) -> None:
     table, family = arrays.own_table(memory, w), arrays.family(memory)
     if arrays.drawing_size(memory) > 0:
         draw(key, arrays.drawing(memory), table)
-    begin, R = evaluate(family, table, 0.0), start_direction(family, table)
+    course, first = Course(1.0 + 0.0j, 1.0), 0
+    if world.courses.drawn:
+        course, first = draw_course(key, world.courses)
+    _store_course(arrays.course(memory, t), at_lane, course)
+    count[_FIRST + lane] = first
+    time = first * world.clock.period
+    begin, R = evaluate(family, table, time), start_direction(family, table, time)
+    if world.courses.drawn:
+        begin, R = lay_point(course, begin), lay_direction(course, R)
     _store_point(arrays.begin(memory, t), at_lane, begin.p)
 
-    leader = trimmed(begin, world)
+    yaw = start_yaw(key, 0, world)
     if world.on_ground:
-        place(memory, w, 0, resting(_read_point(arrays.start(memory, 0))), ZERO, key)
+        place(memory, w, 0, resting(stand(memory, 0, R, begin.p, world), yaw), ZERO, key)
     else:
-        place(memory, w, 0, leader, begin.a, key)
+        place(memory, w, 0, trimmed(begin, yaw, world), begin.a, key)
     for i in range(arrays.vehicles(memory) - 1):
         x, d = arrays.follower(memory, t, i), _read_point(arrays.offset(memory, i))
         _store_follower(x, at_lane, Follower(R, R, _STILL))
         if world.on_ground:
             # Slots are those of the reference's first point (40), at rest.
             begin_level(arrays.level(memory), x, at_lane, slot(R, begin.p, ZERO, d))
-            body = resting(_read_point(arrays.start(memory, i + 1)))
+            yaw = start_yaw(key, i + 1, world)
+            body = resting(stand(memory, i + 1, R, begin.p, world), yaw)
         else:
-            target = slot(R, leader.p, leader.v, d)
-            begin_level(arrays.level(memory), x, at_lane, target)
+            target = slot(R, begin.p, begin.v, d)
             body = near(target, key, i + 1, world)
+            begin_level(arrays.level(memory), x, at_lane, Slot(body.p, body.v))
         place(memory, w, i + 1, body, ZERO, key)
         clear_outcome(arrays.outcome(room, i), lane)
     if w + 1 == arrays.worlds(memory):

@@ -18,6 +18,7 @@ from formation_env.maths.rng import MEASUREMENT, as_single, normal_pair, words
 from formation_env.maths.so3 import Vector, dot, pick
 from formation_env.memory.records import LANES
 from formation_env.memory.tiles import FLAGS, over_lanes
+from formation_env.paths.course import lay_point
 from formation_env.physics import quadrotor
 from formation_env.physics.quadrotor import MOMENT, RATES, Airframe, Body, Wrench, touch_floor
 from formation_env.physics.sensors import (
@@ -73,21 +74,26 @@ choose = over_lanes(choose_world, into=("active", "moving"), uniform=("reset",),
 
 
 @device
-def note_start(counters: Counters) -> tuple[bool, bool]:
-    """Whether an episode has started, and whether it has not, to be summed."""
-    return counters.started != 0, counters.started == 0
+def note_start(counters: Counters, deadline: int) -> tuple[bool, bool, bool]:
+    """Whether an episode has started, whether it should have, and whether it has not, to be summed."""
+    waits = counters.started == 0
+    return not waits, waits & (counters.tick >= deadline), waits
 
 
-note_started = over_lanes(note_start, into=("started",))
+note_started = over_lanes(note_start, into=("started", "overdue"), uniform=("deadline",))
 
 
 @device
 def line_of_reference(counters: Counters, lines: int, length: int) -> tuple[int, bool]:
     """Where the line of a world's clock begins in a table of `lines`; whether it lies beyond them."""
-    return counters.clock * length, counters.clock >= lines
+    line = counters.clock + counters.first
+    return line * length, line >= lines
 
 
 find_lines = over_lanes(line_of_reference, into=("line_starts",), uniform=("lines", "length"))
+
+
+lay_reference = over_lanes(lay_point, into=("reference",))
 
 
 class Clocks(NamedTuple):

@@ -223,57 +223,126 @@ class Previous(NamedTuple):
     previous: Action
 
 
-class Judged(NamedTuple):
+class Failing(NamedTuple):
+    """A part of `Outcome`."""
+
+    separation: float
+    failed: float
+
+
+class Failed(NamedTuple):
+    """A part of `Tally`."""
+
+    failed: float
+    paid: bool
+
+
+class Paid(NamedTuple):
     """A part of `Outcome`."""
 
     reward: float
     terms: Terms
-    separation: float
-    failed: float
+
+
+class Earned(NamedTuple):
+    """A part of `Tally`."""
+
+    reward: float
+
+
+class Payable(NamedTuple):
+    """A part of `Tally`."""
+
+    reward: float
+    paid: bool
 
 
 _NOTHING = Terms(*[0.0] * len(Terms._fields))
 
 
 @device
-def judgement(
+def true_error(square: float, own: Hardest, leader: Hardest) -> float:
+    """The slot error, m, from its square; not a number where the state of one of the two is unsound."""
+    return sqrt(square) + 0.0 * (own.speed + leader.speed)
+
+
+@device
+def failing(
     active: bool,
+    overdue: bool,
     squares: Squares,
     touch: Touch,
     leader: Hardest,
-    action: Action,
-    x: Previous,
-    tally: Tally,
-    entries: int,
-    rewards: Rewards,
+    tally: Failed,
     limits: Limits,
-) -> tuple[Judged, Previous, Tally]:
-    """Separation, reward and failure of a follower, its next previous action, and the world's sums.
+) -> tuple[Failing, Failed]:
+    """Separation and failure of a follower, and whether one of its world has failed.
 
-    A world that has not stepped earns nothing and its followers have not failed. `touch` is the follower's,
-    `leader` the leader's: a crash of the leader fails a follower that has not failed itself, unpaid.
+    In a world that has not stepped none has. `touch` is the follower's, `leader` the leader's: a crash of the
+    leader fails a follower that has not failed itself, unpaid.
     """
-    # Not a number where one of the two is unsound, else what it was.
-    error = sqrt(squares.error) + 0.0 * (touch.speed + leader.speed)
+    error = true_error(squares.error, Hardest(touch.speed), leader)
     separation = sqrt(squares.separation)
-    why = failure(separation, touch.speed, touch.uprightness, error, limits)
-    terms = reward(error, action, x.previous, entries, why != NO_FAILURE, rewards)
-    earned = pick(active, total_of_terms(terms), 0.0)
+    why = failure(separation, touch.speed, touch.uprightness, error, overdue, limits)
+    own = active & (why != NO_FAILURE)
     crashed = (why == NO_FAILURE) & (leader.speed > limits.impact)
     failed = pick(active, pick(crashed, float(LEADER), float(why)), 0.0)
+    return Failing(separation, failed), Failed(max(tally.failed, failed), tally.paid | own)
+
+
+fail = over_lanes(
+    failing,
+    into=("outcome", "tally"),
+    uniform=("limits",),
+    leader=Touch,
+    tally=Tally,
+    outcome=Outcome,
+)
+
+
+class Error(NamedTuple):
+    """A part of `Squares`."""
+
+    error: float
+
+
+@device
+def payment(
+    active: bool,
+    started: bool,
+    squares: Error,
+    touch: Hardest,
+    leader: Hardest,
+    action: Action,
+    x: Previous,
+    tally: Payable,
+    entries: int,
+    rewards: Rewards,
+) -> tuple[Paid, Previous, Earned]:
+    """The reward of a follower, its next previous action, and the world's sum.
+
+    A world that has not stepped earns nothing. What one of the team fails in, all pay for: so the joint
+    reward loses the same whatever the team's size, and nobody gains by the failure of another.
+    """
+    error = true_error(squares.error, touch, leader)
+    terms = reward(started, error, action, x.previous, entries, tally.paid, rewards)
+    earned = pick(active, total_of_terms(terms), 0.0)
     return (
-        Judged(earned, choose_terms(active, terms, _NOTHING), separation, failed),
+        Paid(earned, choose_terms(active, terms, _NOTHING)),
         Previous(_choose_action(active, action, x.previous)),
-        Tally(tally.reward + earned, max(tally.failed, failed)),
+        Earned(tally.reward + earned),
     )
 
 
-judge = over_lanes(
-    judgement,
+pay = over_lanes(
+    payment,
     into=("outcome", "x", "tally"),
-    uniform=("entries", "rewards", "limits"),
-    x=Follower,
+    uniform=("entries", "rewards"),
+    squares=Squares,
+    touch=Touch,
     leader=Touch,
+    x=Follower,
+    tally=Tally,
     outcome=Outcome,
 )
 
@@ -310,8 +379,8 @@ conclude = over_lanes(
 )
 
 
-class Known(NamedTuple):
-    """A part of a follower's rows: what it knows of itself."""
+class EstimateAndPrevious(NamedTuple):
+    """A part of a follower's rows: the heading that it estimates, its last action."""
 
     estimate: complex
     previous: Action
@@ -319,7 +388,7 @@ class Known(NamedTuple):
 
 @device
 def observed(
-    started: bool, x: Known, leader: Measured, begin: Vector, own: Measured, d: Vector
+    started: bool, x: EstimateAndPrevious, leader: Measured, begin: Vector, own: Measured, d: Vector
 ) -> Observation:
     """A follower's observation without what its level adds and its neighbours."""
     anchor = pick_vector(started, leader.p, begin)

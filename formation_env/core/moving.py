@@ -16,13 +16,14 @@ from formation_env.core.measuring import (
     measure_when_due,
     measure_with_noise,
 )
-from formation_env.core.neighbours import CROWD
+from formation_env.core.neighbours import MOST_PAIRWISE
 from formation_env.laws.levels import command_follower
 from formation_env.laws.world import disturbed, hold_at, next_states, pushed
 from formation_env.maths.so3 import ZERO, Vector
 from formation_env.memory.records import LANES, at, line_storer, loader, size, storer
 from formation_env.memory.shuffles import (
     carve,
+    clipped,
     copy,
     fetch,
     gather,
@@ -38,10 +39,12 @@ from formation_env.trajectories import TrajectoryPoint, evaluate
 # 65,536 worlds of `paper`, 6 % of one of 4,096 of `swarm`.
 _FETCHED = 64
 
-_TICK, _STARTED, _CLOCK = (at(Counters, name) * LANES for name in ("tick", "started", "clock"))
+_TICK, _STARTED, _CLOCK, _FIRST = (
+    at(Counters, name) * LANES for name in ("tick", "started", "clock", "first")
+)
 _VELOCITY, _MEASURED = at(Measured, "v"), size(Measured)
 _STATES = size(Measured) * LANES  # where the states of disturbances begin in a vehicle's rows
-_read_body, _read_point = loader(quadrotor.Body, Measured), loader(Vector)
+_read_body = loader(quadrotor.Body, Measured)
 _store_push, _write_point = storer(Vector), line_storer(TrajectoryPoint)
 _read_states, _store_states = loader(States), storer(States)
 
@@ -81,7 +84,7 @@ def take_actions(memory: Any, room: Any, t: int, here: int) -> None:
             else:
                 for lane in range(here):
                     a = np.float64(actions[first + k + lane * stride])
-                    executed[k * LANES + lane] = min(max(a, -1.0), 1.0)
+                    executed[k * LANES + lane] = clipped(a)
 
 
 @cold
@@ -119,27 +122,33 @@ def refer(memory: Any, room: Any, t: int, here: int, standing: int) -> None:
             one = min(lane, here - 1)
             starts[lane] = lane * arrays.LINE
             line = carve(arrays.lines(room), lane * arrays.LINE, (arrays.LINE,))
-            clock = count[_CLOCK + one]
-            if count[_STARTED + one] != 0 and clock < lines:
-                row = carve(source, clock * arrays.LINE, (arrays.LINE,))
+            number = count[_CLOCK + one] + count[_FIRST + one]
+            if count[_STARTED + one] != 0 and number < lines:
+                row = carve(source, number * arrays.LINE, (arrays.LINE,))
                 for k in range(arrays.LINE):
                     line[k] = row[k]
             else:
                 _write_point(line, reference_of(memory, t, one))
         source = arrays.lines(room)
     gather(source, starts, arrays.reference(room))
+    if arrays.read_courses(arrays.world(memory)).drawn:
+        flight.lay_reference(arrays.course(memory, t), arrays.reference(room))
 
 
 @cold
 def reference_of(memory: Any, t: int, lane: int) -> TrajectoryPoint:
-    """The leader's reference where it is not in the table: waiting, or on a path of its own or long."""
+    """The leader's reference where it is not in the table: waiting, or on a path of its own or long.
+
+    On the path as it is given, not where the episode's lies.
+    """
     count = arrays.counters(memory, t)
-    ref = hold_at(_read_point(arrays.begin(memory, t), np.uint64(lane)))
-    if count[_STARTED + lane] != 0:
-        time = count[_CLOCK + lane] * arrays.read_clock(arrays.world(memory)).period
-        table = arrays.own_table(memory, t * LANES + lane)
-        ref = evaluate(arrays.family(memory), table, time)
-    return ref
+    number = count[_CLOCK + lane] + count[_FIRST + lane]
+    time = number * arrays.read_clock(arrays.world(memory)).period
+    table = arrays.own_table(memory, t * LANES + lane)
+    ref = evaluate(arrays.family(memory), table, time)
+    if count[_STARTED + lane] == 0:
+        ref = hold_at(ref.p)
+    return ref  # type: ignore[no-any-return]
 
 
 @step
@@ -213,7 +222,7 @@ def fetch_next(memory: Any, room: Any, t: int, i: int) -> None:
     That is where its results go in this tile, and its state in the next one.
     """
     n = arrays.vehicles(memory) - 1
-    if n >= CROWD or arrays.tile_count(memory) <= _FETCHED:
+    if n >= MOST_PAIRWISE or arrays.tile_count(memory) <= _FETCHED:
         return
     if i < n and not streamed(memory):
         entries, first = arrays.entries(memory), (t * n + i) * LANES

@@ -24,7 +24,7 @@ from formation_env.task import Neighbour, Passing
 
 # With more than this many vehicles, or followers where neighbours are sought, the sweep of `nearest` is
 # faster than trying every pair.
-CROWD = 30
+MOST_PAIRWISE = 30
 
 _SEPARATION, _NUMBER = at(Squares, "separation") * LANES, at(Candidate, "number")
 _NEIGHBOUR, _PASSING = size(Neighbour), size(Passing)
@@ -85,7 +85,7 @@ def separate_many(memory: Any, room: Any, t: int, here: int) -> None:
 def find_neighbours_of_many(memory: Any, room: Any, t: int, here: int) -> None:
     """Numbers of the neighbours of all followers as measured, if there are many."""
     m, K = arrays.vehicles(memory) - 1, arrays.neighbours(memory)
-    if m <= CROWD or K == 0:
+    if m <= MOST_PAIRWISE or K == 0:
         return
     for i in range(m):
         put_down(in_hand(memory, room, t, i + 1), i, m, room)
@@ -159,7 +159,7 @@ def show_neighbours(memory: Any, room: Any, t: int, i: int) -> None:
     Rows beyond the number of others stay as zero as they were made.
     """
     n, K = arrays.vehicles(memory) - 1, arrays.neighbours(memory)
-    if n > 2 and n <= CROWD and K > 0:
+    if n > 2 and n <= MOST_PAIRWISE and K > 0:
         find_neighbours_of_few(memory, room, t, i)
     x, own, rows = (
         arrays.follower(memory, t, i),
@@ -172,7 +172,7 @@ def show_neighbours(memory: Any, room: Any, t: int, i: int) -> None:
         other, numbers = arrays.other(room), arrays.neighbour(room, i, rank)
         if n == 2:
             other = in_hand(memory, room, t, 2 - i)
-        elif n > CROWD:
+        elif n > MOST_PAIRWISE:
             fetch_neighbour_of_many(memory, room, i, rank)
         else:
             fetch_neighbour(memory, room, t, i, rank)

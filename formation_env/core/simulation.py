@@ -26,6 +26,7 @@ from formation_env.core.snapshots import check_snapshot
 from formation_env.core.threads import Team, cores
 from formation_env.memory.records import LANES, size, slices
 from formation_env.memory.store import Floats
+from formation_env.paths.course import Course
 from formation_env.paths.references import TrajectoryPoint
 from formation_env.paths.trajectory import sample
 from formation_env.physics.sensors import Measured
@@ -79,7 +80,7 @@ class Simulation:
         self._memory = arrays.allocate(config, num_worlds, self._max_steps, _references(config))
         self._open()
         self._rooms = [arrays.room(self._memory) for _ in range(self._threads)]
-        self._everyone = np.ones(num_worlds, dtype=np.bool_)
+        self._all_worlds = np.ones(num_worlds, dtype=np.bool_)
         self._team: Team | None = None
         self._begun = False
         self._alone = Exclusive()
@@ -165,7 +166,7 @@ class Simulation:
         return np.array(mask)
 
     def _run(self, mode: int, actions: NDArray[np.float32], mask: Any) -> Results:
-        mask = self._everyone if mask is None else self._mask(mask)
+        mask = self._all_worlds if mask is None else self._mask(mask)
         alone = self._alone
         if not alone.acquire(False):
             alone.take_over()
@@ -318,8 +319,16 @@ class Simulation:
         world = integer("world", world, 0, self._num_worlds - 1)
         tables = self._state.tables
         table = tables[world if len(tables) > 1 else 0]
-        times = array("times", times, (None,))
-        return sample(self._config.trajectory.kind, table, times)[:, :3]
+        place = self._place(world)
+        first = self._counters["first"][place] * self._config.control_period
+        times = array("times", times, (None,)) + first
+        points = sample(self._config.trajectory.kind, table, times)[:, :3]
+        turn, side = (rows(self._state.courses, Course)[n][...] for n in ("turn", "side"))
+        tile, lane = divmod(world, LANES)
+        z = points[:, 0] + 1j * side[tile, 0, lane] * points[:, 1]
+        z *= complex(*turn[tile, :, lane])
+        points[:, 0], points[:, 1] = z.real, z.imag
+        return points
 
     # -- saving -----------------------------------------------------------------------------------
 
@@ -356,7 +365,7 @@ class Simulation:
 
 def _references(config: FormationConfig) -> Floats:
     """The leader's reference tick by tick; empty if it is drawn anew each episode, or the episode is long."""
-    path, steps = config.trajectory, config.max_steps
+    path, steps = config.trajectory, config.max_steps + config.phases
     if path.random is not None or steps > TABULATED:
         return np.zeros((0, arrays.LINE))
     table, points = np.zeros((steps + 1, arrays.LINE)), size(TrajectoryPoint)

@@ -17,6 +17,7 @@ from formation_env.core.arrays import Counters, State, by_world, rows
 from formation_env.laws.levels import Follower
 from formation_env.laws.world import MAX_TICKS
 from formation_env.memory.records import slices
+from formation_env.paths.course import Course
 from formation_env.physics.sensors import Measured
 from formation_env.validation.checks import refuse_where, require, shown
 
@@ -53,7 +54,7 @@ def check_snapshot(snapshot: Any, config: FormationConfig, own: State, worlds: i
             found = "missing" if name not in snapshot.state else shown(found)[1:-1]
             raise ValueError(f"state[{name!r}] is {found}: expected {array.dtype} {array.shape}")
     state = State(**snapshot.state)
-    _check_counters(state)
+    _check_counters(state, config)
     _check_tables(state, config)
     over = rows(state.counters, Counters)["over"].reshape(-1)[:worlds]
     live = np.flatnonzero(over == 0)
@@ -61,6 +62,7 @@ def check_snapshot(snapshot: Any, config: FormationConfig, own: State, worlds: i
     _check_samples(by_world(state.samples, worlds)[live])
     _check_followers(by_world(state.followers, worlds)[live])
     _check_finite("begins", by_world(state.begins, worlds)[live])
+    _check_courses(by_world(state.courses, worlds)[live])
     _check_finite("speeds", state.speeds[live])
 
 
@@ -73,9 +75,10 @@ _COUNTED = {
 }
 
 
-def _check_counters(state: State) -> None:
+def _check_counters(state: State, config: FormationConfig) -> None:
     counted = {n: x.reshape(-1) for n, x in rows(state.counters, Counters).items()}
-    for name, (low, high) in _COUNTED.items():
+    bounds = {**_COUNTED, "first": (0, max(0, config.phases - 1))}
+    for name, (low, high) in bounds.items():
         values = counted[name]
         bad = (values < low) | (values > high)
         _refuse_where(bad, f"counters[{name}]", values, f"{low} to {high}")
@@ -92,6 +95,15 @@ def _check_tables(state: State, config: FormationConfig) -> None:
     _check_finite("tables", state.tables)
     harmonics, expected = state.tables[:, 0], float(path.random.harmonics)
     _refuse_where(harmonics != expected, "tables", harmonics, f"{expected:g} harmonics")
+
+
+def _check_courses(courses: Floats) -> None:
+    where = slices(Course)
+    square = np.square(courses[..., where["turn"]]).sum(axis=-1)
+    bad = ~(np.abs(square - 1.0) <= 1e-9)
+    _refuse_where(bad, "courses (squared norm of a turn)", square, "1: unit vectors")
+    side = courses[..., where["side"]]
+    _refuse_where(np.abs(side) != 1.0, "courses (side)", side, "1 or -1")
 
 
 def _check_finite(name: str, values: Floats) -> None:

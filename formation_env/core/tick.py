@@ -49,7 +49,7 @@ from formation_env.core.moving import (
     turn_headings,
 )
 from formation_env.core.neighbours import (
-    CROWD,
+    MOST_PAIRWISE,
     approach_others,
     find_neighbours_of_many,
     separate_many,
@@ -176,8 +176,13 @@ def begin_rows(memory: Any, t: int, standing: int, leader: Any) -> Any:
 @step
 def locate(memory: Any, room: Any, t: int, here: int) -> int:
     """Slots, slot errors and squared separations; returns how many lanes wait for their start."""
-    many = arrays.vehicles(memory) > CROWD
-    standing = flight.note_started(arrays.counters(memory, t), arrays.started(room))
+    many = arrays.vehicles(memory) > MOST_PAIRWISE
+    standing = flight.note_started(
+        arrays.counters(memory, t),
+        arrays.deadline(memory),
+        arrays.started(room),
+        arrays.overdue(room),
+    )
     leader = arrays.vehicle(memory, t, 0)
     begin = begin_rows(memory, t, standing, leader)
     for i in range(arrays.vehicles(memory) - 1):
@@ -221,9 +226,15 @@ def judge(memory: Any, room: Any, t: int, here: int) -> None:
     tally, active, leader = arrays.tally(room), arrays.active(room), arrays.touch(room, 0)
     n, limits = arrays.vehicles(memory) - 1, arrays.limits(memory)
     clear(tally)
+    started, overdue = arrays.started(room), arrays.overdue(room)
     for i in range(n):
-        judging.judge(
+        squares, touch = arrays.squares(room, i), arrays.touch(room, i + 1)
+        outcome = arrays.outcome(room, i)
+        judging.fail(active, overdue, squares, touch, leader, tally, limits, outcome)
+    for i in range(n):
+        judging.pay(
             active,
+            started,
             arrays.squares(room, i),
             arrays.touch(room, i + 1),
             leader,
@@ -232,7 +243,6 @@ def judge(memory: Any, room: Any, t: int, here: int) -> None:
             tally,
             arrays.action_size(memory),
             arrays.rewards(memory),
-            limits,
             arrays.outcome(room, i),
         )
     count, verdict = arrays.counters(memory, t), arrays.verdict(room)

@@ -9,8 +9,10 @@ from gymnasium import logger, spaces
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from formation_env.memory.records import define, slices
-from formation_env.task import COLUMNS, FAILED, SEPARATION, Terms
+from formation_env.maths.so3 import Vector
+from formation_env.memory.records import define, fields, size, slices
+from formation_env.physics.quadrotor import Body
+from formation_env.task import ANYWHERE, COLUMNS, FAILED, SEPARATION, Terms
 from formation_env.validation.checks import choice, refuse
 
 if TYPE_CHECKING:
@@ -23,6 +25,8 @@ RENDER_MODES = ("human", "rgb_array")
 FLOAT = np.dtype(np.float32)
 _INTEGER = np.dtype(np.int64)
 _MANY = 256  # worlds
+# Of a vehicle's numbers in `states`, by the fields of `Body`: m, m/s, 1, rad/s.
+_BOUNDS = {"p": ANYWHERE, "v": 100.0, "q": 1.0, "w": 100.0}
 
 # Columns of the reward's terms by their names in `info`.
 TERMS = {f"reward_{n}": COLUMNS["terms"].start + where.start for n, where in slices(Terms).items()}
@@ -75,9 +79,9 @@ def fps(config: FormationConfig) -> int:
 
 def state_space(followers: int) -> Any:
     """Bounds of a row of `states`."""
-    vehicle = [1e4] * 3 + [100.0] * 3 + [1.0] * 4 + [100.0] * 3
-    numbers = vehicle * (followers + 1) + [1e4] * (3 * followers) + [1.0]
-    bound = np.array(numbers, dtype=np.float32)
+    vehicle = [_BOUNDS[name] for name, kind in fields(Body).items() for _ in range(size(kind))]
+    slot = [_BOUNDS["p"]] * size(Vector)
+    bound = np.array(vehicle * (followers + 1) + slot * followers + [1.0], dtype=np.float32)
     return spaces.Box(-bound, bound, dtype=np.float32)
 
 

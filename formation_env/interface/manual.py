@@ -56,6 +56,9 @@ def _observations() -> Iterable[list[str]]:
 def _rewards() -> Iterable[list[str]]:
     rows = _headed("entry of `info`", "value per tick", "default weight")
     for name, term in notes(Terms).items():
-        default = f"{term.weight} {Rewards._field_defaults[term.weight]:g} {term.unit}"
-        rows.append([f"`reward_{name}`", term.meaning, default.strip()])
+        defaults = (
+            f"{weight} {Rewards._field_defaults[weight]:g} {term.unit}".strip()
+            for weight in term.weights.split()
+        )
+        rows.append([f"`reward_{name}`", term.meaning, ", ".join(defaults)])
     return rows

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from formation_env._jit import kernel
 from formation_env.laws.slots import advance_heading
-from formation_env.paths.references import Floats
+from formation_env.paths.references import Floats, by_name
 from formation_env.paths.tables import LARGEST
 from formation_env.paths.trajectory import Trajectory, path_start
 from formation_env.validation.checks import array, number, refuse, require, vector
@@ -140,9 +140,8 @@ def _path(trajectory: Trajectory, duration: float, step: float, widest: float) -
     """The motion in steps of `step` s, longer where there would be too many, but not above `widest`."""
     count = ceil(min(duration / step, _MOST_STEPS))
     duration = min(duration, count * max(step, widest))
-    motion = trajectory(np.linspace(0.0, duration, count + 1))
-    v = motion[:, 1, 0] + 1j * motion[:, 1, 1]
-    a = motion[:, 2, 0] + 1j * motion[:, 2, 1]
+    motion = by_name(trajectory(np.linspace(0.0, duration, count + 1)))
+    v, a = (motion[name][:, 0] + 1j * motion[name][:, 1] for name in ("v", "a"))
     moving = np.abs(v) > STILL
     v_moving = v[moving]
     curvature = (v_moving.conj() * a[moving]).imag / np.abs(v_moving) ** 3

@@ -292,12 +292,14 @@ LEVELS = (
     ),
 )
 NAMES = tuple(level.name for level in LEVELS)
-WRENCH, RATES_LEVEL, REFERENCE = range(3)
 
 
 def numbered(name: str) -> int:
     """The index of a level in the table."""
     return NAMES.index(name)
+
+
+REFERENCE = numbered("reference")
 
 
 def _by_level(name: str, arguments: str, functions: list[Any]) -> Any:

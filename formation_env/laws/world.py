@@ -6,6 +6,7 @@ what it is paid for.
 
 from __future__ import annotations
 
+from math import cos, pi, sin
 from typing import NamedTuple
 
 from formation_env._jit import device
@@ -19,15 +20,18 @@ from formation_env.laws.tracker import (
 )
 from formation_env.maths.rng import START, normals, uniforms
 from formation_env.maths.so3 import (
+    Quaternion,
     Vector,
     add_scaled,
     dot,
+    multiply,
     norm,
     rotation,
     scale,
     shortest_arc,
     sub,
 )
+from formation_env.paths.course import Courses
 from formation_env.physics.disturbances import Parameters, over_table
 from formation_env.physics.quadrotor import (
     GRAVITY,
@@ -92,6 +96,7 @@ class World(NamedTuple):
     trigger: float  # m, e_max of (40)
     on_ground: int  # whether an episode starts on the floor
     start_offset: float  # m, radius of the ball a follower starts in, around its slot
+    courses: Courses  # how the leader's path may lie
 
 
 @device
@@ -125,16 +130,35 @@ def hold_at(p: Vector) -> TrajectoryPoint:
 
 
 @device
-def resting(p: Vector) -> Body:
-    """A vehicle at rest and level, yaw zero."""
-    return Body(p, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+def start_yaw(key: int, who: int, world: World) -> float:
+    """The angle about its own third axis that a vehicle begins with, rad: uniform, or zero (`Courses`)."""
+    if world.courses.drawn == 0:
+        return 0.0
+    return pi * (2.0 * uniforms(key, START, who, 0, 1)[1] - 1.0)
 
 
 @device
-def trimmed(ref: TrajectoryPoint, world: World) -> Body:
-    """A vehicle that already flies along `ref` with null tracker errors `e1` to `e4`."""
+def yawed(q: Quaternion, angle: float) -> Quaternion:
+    """An attitude turned by `angle` (rad) about its own third axis."""
+    if angle == 0.0:
+        return q
+    return multiply(q, (cos(0.5 * angle), 0.0, 0.0, sin(0.5 * angle)))
+
+
+@device
+def resting(p: Vector, yaw: float) -> Body:
+    """A vehicle at rest and level, at a yaw angle (rad)."""
+    return Body(p, (0.0, 0.0, 0.0), yawed((1.0, 0.0, 0.0, 0.0), yaw), (0.0, 0.0, 0.0))
+
+
+@device
+def trimmed(ref: TrajectoryPoint, yaw: float, world: World) -> Body:
+    """A vehicle that already flies along `ref` with null tracker errors `e1` to `e4`.
+
+    Turned by `yaw` (rad) about its third axis from the attitude nearest to the level one of yaw zero.
+    """
     b = (-ref.a[0], -ref.a[1], GRAVITY - ref.a[2])
-    q = shortest_arc(scale(1.0 / norm(b), b))
+    q = yawed(shortest_arc(scale(1.0 / norm(b), b)), yaw)
     m = Motion(ref.p, ref.v, rotation(q), (0.0, 0.0, 0.0))
     return Body(ref.p, ref.v, q, rate_command(m, ref, world.airframe.mass, world.tracker).w)
 
@@ -146,7 +170,8 @@ def near(slot: Slot, key: int, who: int, world: World) -> Body:
     u = uniforms(key, START, who, 0, 1)
     a = (n[0], n[1], n[2])
     radius = world.start_offset * u[0] ** (1.0 / 3.0) / norm(a)
-    return Body(add_scaled(slot.p, radius, a), slot.v, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    q = yawed((1.0, 0.0, 0.0, 0.0), start_yaw(key, who, world))
+    return Body(add_scaled(slot.p, radius, a), slot.v, q, (0.0, 0.0, 0.0))
 
 
 @device

@@ -22,7 +22,7 @@ from formation_env.maths.elementary import Single, log_of_unit, sin_cos_of_octan
 Four = tuple[float, float, float, float]
 
 # Purposes: the third word of the counter, so that no two uses share a draw.
-START, TRAJECTORY, MEASUREMENT, GUST, POLICY = 0, 1, 2, 3, 4
+START, TRAJECTORY, MEASUREMENT, GUST, POLICY, COURSE = 0, 1, 2, 3, 4, 5
 
 _LOW = np.uint64(0xFFFFFFFF)
 _HALF = np.uint64(32)

@@ -56,9 +56,16 @@ def fields(kind: Any) -> dict[str, Any]:
 
 @cache
 def notes(kind: Any) -> dict[str, Any]:
-    """What annotates each field of a record (`Annotated[type, note]`), for those that have a note."""
+    """What annotates each field of a record (`Annotated[type, note]`); empty where none has a note.
+
+    Raises `TypeError` where only some have one: bounds, or a row of the manual, would be missing.
+    """
     hints = get_type_hints(kind, include_extras=True)
-    return {n: get_args(h)[1] for n, h in hints.items() if get_origin(h) is Annotated}
+    found = {n: get_args(h)[1] for n, h in hints.items() if get_origin(h) is Annotated}
+    if found and len(found) < len(hints):
+        bare = ", ".join(f"{kind.__name__}.{n}" for n in hints if n not in found)
+        raise TypeError(f"{bare}: expected Annotated[type, note], as other fields of it are")
+    return found
 
 
 def _bare(hint: Any) -> Any:

@@ -302,9 +302,15 @@ def count_finite(numbers: Any) -> int:
     return count
 
 
+@device
+def clipped(a: float) -> float:
+    """`a` within [-1, 1], as the entries of an action are executed."""
+    return min(max(a, -1.0), 1.0)
+
+
 @loop
 def take_clipped(actions: Any, first: int, stride: int, executed: Any, row: int) -> None:
     """One entry of the actions of consecutive worlds, clipped, to a row of those executed."""
     a, b, step = np.uint64(first), np.uint64(row) * _LANES, np.uint64(stride)
     for lane in range(_LANES):
-        executed[b + lane] = min(max(np.float64(actions[a + lane * step]), -1.0), 1.0)
+        executed[b + lane] = clipped(np.float64(actions[a + lane * step]))

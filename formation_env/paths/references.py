@@ -17,7 +17,7 @@ that stand here beside the formulas.
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import cos, exp, perm, pi, sin, sqrt
+from math import cos, exp, inf, perm, pi, sin, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,6 +45,11 @@ class TrajectoryPoint(NamedTuple):
     a: Vector  # m/s^2
     j: Vector  # m/s^3
     s: Vector  # m/s^4
+
+
+def by_name(points: Floats) -> dict[str, Floats]:
+    """The fields of `TrajectoryPoint` as views `(..., 3)` of what a trajectory returns, `(..., 5, 3)`."""
+    return {name: points[..., k, :] for k, name in enumerate(TrajectoryPoint._fields)}
 
 
 def _length(name: str, table: Floats, wanted: int, what: str) -> None:
@@ -118,6 +123,22 @@ def _reach_sines(table: Floats, duration: float) -> Floats:
     sums[0] += np.linalg.norm(table[1:4]) + drift * duration
     sums[1] += drift
     return sums
+
+
+_MOST_LOOPS = 100  # of the slowest sine in a path's period
+
+
+def _period_of_sines(table: Floats) -> float:
+    """The least time after which all sines begin anew; infinite with a drift, or where none is found."""
+    waves = np.abs(table[7:].reshape(-1, 3))
+    rates = np.unique(waves[waves[:, 0] * waves[:, 1] > 0.0, 1])
+    if len(rates) == 0 or np.any(table[4:7] != 0.0):
+        return inf
+    for loops in range(1, _MOST_LOOPS + 1):
+        turns = loops * rates / rates[0]
+        if np.all(np.abs(turns - np.round(turns)) <= 1e-9 * turns):
+            return float(2.0 * pi * loops / rates[0])
+    return inf
 
 
 def _fastest_sine(table: Floats) -> float:
@@ -198,6 +219,11 @@ def _reach_lemniscate(table: Floats, duration: float) -> Floats:
     c = table[1] / table[0]
     rates = np.array([1.0, 3.0 * c, 12.0 * c * c, 60.0 * c * c * c])
     return np.append(np.hypot(table[0], table[2]), table[1] * rates)
+
+
+def _period_of_lemniscate(table: Floats) -> float:
+    """Four quarter periods of the amplitude are one turn of `phi`."""
+    return float(4.0 * _QUARTER * table[0] / table[1])
 
 
 def _fastest_turn(table: Floats) -> float:
@@ -290,12 +316,20 @@ class Family(NamedTuple):
     fastest: (
         Callable[[Floats], float] | None
     )  # (table): rad/s, of all that swings; None: it has pieces
+    period: Callable[[Floats], float]  # (table): s, after which the path repeats itself; inf: never
 
 
 FAMILIES = (
-    Family("sines", _sines, _check_sines, _reach_sines, _fastest_sine),
-    Family("lemniscate", _lemniscate, _check_lemniscate, _reach_lemniscate, _fastest_turn),
-    Family("spline", _spline, _check_spline, _reach_spline, None),
+    Family("sines", _sines, _check_sines, _reach_sines, _fastest_sine, _period_of_sines),
+    Family(
+        "lemniscate",
+        _lemniscate,
+        _check_lemniscate,
+        _reach_lemniscate,
+        _fastest_turn,
+        _period_of_lemniscate,
+    ),
+    Family("spline", _spline, _check_spline, _reach_spline, None, lambda table: inf),
 )
 SINES, LEMNISCATE, SPLINE = range(3)
 
@@ -321,13 +355,13 @@ _AT_REST = 1e-6  # m/s, m/s^2, ...; a spline of samples is at rest only to its o
 
 
 @device
-def start_direction(kind: int, table: Floats) -> complex:
-    """Unit vector of the planar direction in which the trajectory leaves at `t = 0` (II-E).
+def start_direction(kind: int, table: Floats, t: float) -> complex:
+    """Unit vector of the planar direction in which the trajectory leaves at `t` (s) (II-E).
 
     Along the velocity, or, where it starts at rest, along the first derivative that is not zero,
-    which is the limit of the direction for `t -> 0`. North if the trajectory stands still.
+    which is the limit of the direction from later times. North if the trajectory stands still.
     """
-    r = evaluate(kind, table, 0.0)
+    r = evaluate(kind, table, t)
     for x in (r.v, r.a, r.j, r.s):
         size = sqrt(x[0] * x[0] + x[1] * x[1])
         if size > _AT_REST:

@@ -16,7 +16,14 @@ from formation_env.memory.records import line_storer, size
 from formation_env.memory.shuffles import carve
 from formation_env.paths import tables
 from formation_env.paths.random_paths import RandomSmooth, checked_bounds, draw
-from formation_env.paths.references import SINES, Floats, TrajectoryPoint, evaluate, start_direction
+from formation_env.paths.references import (
+    FAMILIES,
+    SINES,
+    Floats,
+    TrajectoryPoint,
+    evaluate,
+    start_direction,
+)
 from formation_env.paths.tables import KINDS, LARGEST
 from formation_env.validation.checks import array, integer, number, refuse, require, shown
 
@@ -40,7 +47,7 @@ def _sample(kind: int, table: Floats, times: Floats, rows: Floats) -> complex:
     table = carve(table, 0, (len(table),))
     for i in range(times.shape[0]):
         _write(rows[i], evaluate(kind, table, times[i]))
-    return start_direction(kind, table)
+    return start_direction(kind, table, 0.0)
 
 
 def sample(kind: int, table: Floats, times: Floats) -> Floats:
@@ -124,6 +131,12 @@ class Trajectory:
         if given.get("duration") is None:
             given["duration"] = inf
         return Trajectory(**given)
+
+    @property
+    def period(self) -> float:
+        """Seconds after which the path repeats itself; infinite where it does not, ends, or is drawn."""
+        endless = self.random is None and self.duration == inf
+        return FAMILIES[self.kind].period(self.table) if endless else inf
 
     def _content(self) -> tuple[Any, ...]:
         return (self.name, self.kind, self.duration, self.random, self.table.tobytes())

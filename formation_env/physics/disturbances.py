@@ -72,11 +72,16 @@ class Disturbance(NamedTuple):
     of: Any  # (configuration): its parameters
     state: Any  # a record, all zero at the start of an episode
     acts: Any  # (parameters): whether it does anything in this world
-    advance: Any  # (state, body, parameters, key, vehicle, tick): the state in this tick
+    # (state, body, parameters, key, vehicle, tick): the state in this tick, the first being 0. The key is the
+    # episode's, for a draw with a purpose of its own in `rng`; vehicle 0 is the leader.
+    advance: Any
     push: Any  # (state, body, parameters): acceleration during this tick, m/s^2, inertial
 
 
-DISTURBANCES = (Disturbance("gusts", Gusts, gusts_of, Gust, blows, next_gust, gust_push),)
+DISTURBANCES = (
+    # In the order in which their pushes are added.
+    Disturbance("gusts", Gusts, gusts_of, Gust, blows, next_gust, gust_push),
+)
 
 # The parameters of all of them, a field of `world.World`, and their states on one vehicle.
 Parameters: Any = NamedTuple("Parameters", [(one.name, one.parameters) for one in DISTURBANCES])  # type: ignore[misc]

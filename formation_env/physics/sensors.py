@@ -59,7 +59,8 @@ class Sensed(NamedTuple):
     a: Vector  # m/s^2, inertial
 
 
-# Of followers nothing that is sensed is shown to anyone; with another sensor that is.
+# Whether exact sensors are computed for followers: no observation holds a follower's acceleration, but with
+# another sensor one may hold what that reads.
 FOLLOWERS_SENSE = len(Sensed._fields) > 1
 
 

@@ -53,10 +53,10 @@ def project(camera: Camera, points: Floats) -> tuple[Floats, Floats]:
 
     The pixel of a point at no positive depth means nothing; callers look at the depth first.
     """
-    seen = (points - camera.eye) @ camera.axes.T
-    depth = seen[..., 2]
+    in_axes = (points - camera.eye) @ camera.axes.T
+    depth = in_axes[..., 2]
     scale = camera.focal / np.maximum(depth, 1e-9)
-    return camera.centre + scale[..., None] * seen[..., :2], depth
+    return camera.centre + scale[..., None] * in_axes[..., :2], depth
 
 
 @final

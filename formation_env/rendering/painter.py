@@ -152,14 +152,14 @@ class Painter:
 
     def _vehicles(self, positions: Floats, shapes: Shapes) -> None:
         depth = self._depth(positions)
-        hubs, seen = self._pixels(shapes.hubs)
+        hubs, visible = self._pixels(shapes.hubs)
         rotors, _ = self._pixels(shapes.rotors)
         hulls, _ = self._pixels(shapes.hull)
         noses, _ = self._pixels(shapes.nose)
         rotor_depth = self._depth(shapes.hubs)
         from_above = np.einsum("ni,ni->n", shapes.up, self._camera.eye - positions) > 0.0
         width = float(self._camera.focal * 0.02 / max(self._camera.distance, 1e-9))
-        for i in np.flatnonzero(seen.all(axis=-1)).tolist():
+        for i in np.flatnonzero(visible.all(axis=-1)).tolist():
             order = np.argsort(-rotor_depth[i]).tolist()
             outlines = [(k, rotors[i, k].tolist()) for k in order]
             frame = (hubs[i].tolist(), hulls[i].tolist(), noses[i].tolist())

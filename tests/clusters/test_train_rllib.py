@@ -48,7 +48,7 @@ def test_files_of_a_run(trained: Path) -> None:
     card, _ = files.load(trained / "last.safetensors")
     assert card.steps >= 600
     assert card.command == (
-        "python -m train.rllib --hidden 16 8 --episodes 2 --steps 600 --critic central --worlds 4 "
+        "formation-train-rllib --hidden 16 8 --episodes 2 --steps 600 --critic central --worlds 4 "
         "--rollout 16 --batch 64 --epochs 1 --runners 2"
     )
 

@@ -51,57 +51,62 @@ def _method(text: str) -> str:
     return text
 
 
-def _parser() -> _Parser:
-    parser = _Parser(
+def parser() -> _Parser:
+    """The options of the command."""
+    options = _Parser(
         prog=PROGRAM,
         description="Write train/README.md and its pictures from what is checked in, or check in a "
         "run. Needs a checkout, and the plot extra for the pictures.",
         allow_abbrev=False,
     )
-    what = parser.add_mutually_exclusive_group()
+    what = options.add_mutually_exclusive_group()
     what.add_argument(
         "--ship",
         type=Path,
         metavar="RUN",
-        help="folder of a run whose policy, scored on seeds 0 to 99, and learning curve are checked in",
+        help="Folder of a run whose policy, scored on seeds 0 to 99, and learning curve are checked "
+        "in. (default: none)",
     )
     what.add_argument(
         "--curve",
         type=Path,
         nargs="+",
         metavar="RUN",
-        help="folders of runs whose learning curves are checked in",
+        help="Folders of runs whose learning curves are checked in. (default: none)",
     )
     what.add_argument(
         "--generalise",
         action="store_true",
-        help="score the policies of nominal on tasks that they were not trained on; takes minutes",
+        help="Score the policies of nominal on tasks that they were not trained on, which takes "
+        "minutes. (default: off)",
     )
-    add = parser.add_argument
+    add = options.add_argument
     add(
         "--method",
         type=_method,
-        help="name of the method, with --ship or --curve (default: the one in the policy's card)",
+        help="Name of the method, with --ship or --curve. (default: the one in the policy's card)",
     )
     add("--threads", type=_threads, default=os.cpu_count() or 1, metavar="N",
-        help="number of threads that fly episodes (default: one for each core)")  # fmt: skip
-    add("--checkout", type=Path, default=_CHECKOUT, metavar="DIR",
-        help="folder of the checkout that is changed (default: the one this command comes from)")  # fmt: skip
-    return parser
+        help="Number of threads that fly episodes. "
+        "(default: %(default)s, one for each core)")  # fmt: skip
+    add("--checkout", type=Path, default=argparse.SUPPRESS, metavar="DIR",
+        help="Folder of the checkout that is changed. "
+        "(default: the one this command comes from)")  # fmt: skip
+    return options
 
 
 @console.command
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit status, or raises `SystemExit(2)` for a wrong option."""
-    parser = _parser()
-    options = parser.parse_args(arguments)
+    reader = parser()
+    options = reader.parse_args(arguments, argparse.Namespace(checkout=_CHECKOUT))
     try:
         if options.method and not (options.ship or options.curve):
             raise ValueError("argument --method: only with --ship or --curve")
         _require_checkout(options.checkout)
         return _do(options)
     except ValueError as problem:
-        parser.error(str(problem))
+        reader.error(str(problem))
     except OSError as problem:
         where = f"{problem.filename}: " if problem.filename else ""
         reason = problem.strerror or problem

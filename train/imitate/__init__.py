@@ -18,6 +18,7 @@ from collections.abc import Sequence
 
 from baselines.system import console
 from train.command_line import (
+    SCRIPTS,
     fail,
     fail_before,
     fail_missing,
@@ -26,7 +27,7 @@ from train.command_line import (
     wait_passively,
 )
 
-SCRIPT = "formation-train-imitate"
+SCRIPT = SCRIPTS[__name__]
 
 
 @console.command

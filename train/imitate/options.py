@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Literal, final
 
-from train.command_line import refuse
+from train.command_line import SCRIPTS, refuse
 from train.options import Ranges, RunOptions
 
 
@@ -71,7 +71,7 @@ class Options(RunOptions):
     tensorboard: bool = False
     """Write losses and scores for TensorBoard too, into the folder tensorboard of the output."""
 
-    program: ClassVar[str] = "train.imitate"
+    script: ClassVar[str] = SCRIPTS["train.imitate"]
     without_effect: ClassVar[tuple[str, ...]] = ("output", "tensorboard", "threads", "quiet")
     integers: ClassVar[Ranges] = {
         **RunOptions.integers,

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from baselines.system import console
 from train.command_line import (
     DIVERGED,
+    SCRIPTS,
     diverged,
     fail,
     fail_before,
@@ -32,7 +33,7 @@ from train.command_line import (
 if TYPE_CHECKING:
     from train.ppo.options import Options
 
-SCRIPT = "formation-train-ppo"
+SCRIPT = SCRIPTS[__name__]
 
 
 @console.command

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from formation_env import FormationConfig, configure
+from train.command_line import SCRIPTS
 from train.options import STD, PPOOptions, Ranges
 
 # Of the exploration at the start: its standard deviation with `residual`, as part of that bound, and the
@@ -24,7 +25,8 @@ class Options(PPOOptions):
     Of those given here only steps, minutes, profile and quiet count."""
     std: float | None = None
     """Standard deviation of the actions at the start, in units of the largest action.
-    By default 0.05 at action levels wrench and rates and 0.3 at reference, or 0.3 of a residual's bound.
+    By default that of the action level, `exploration` in formation_env/laws/levels.py, or 0.3 of a
+    residual's bound.
     With --init a fifth of that."""
     hidden: tuple[int, ...] = (64, 64)
     """Widths of the hidden layers, from input to output; with --init those of the file."""
@@ -58,7 +60,7 @@ class Options(PPOOptions):
     profile: bool = False
     """Print at the end how much of the time each part of the program took."""
 
-    program: ClassVar[str] = "train.ppo"
+    script: ClassVar[str] = SCRIPTS["train.ppo"]
     without_effect: ClassVar[tuple[str, ...]] = ("output", "resume", "profile", "quiet", "threads")
     free_on_resume: ClassVar[tuple[str, ...]] = (
         "steps", "minutes", "resume", "profile", "quiet", "output",

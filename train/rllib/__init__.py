@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 from baselines.scoring import cluster
 from baselines.system import console
 from train.command_line import (
+    SCRIPTS,
     fail,
     fail_before,
     fail_missing,
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from train.rllib.options import Options
     from train.rllib.run import Saved
 
-SCRIPT = "formation-train-rllib"
+SCRIPT = SCRIPTS[__name__]
 
 
 @console.command

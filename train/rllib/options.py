@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from train.command_line import SCRIPTS
 from train.options import STD, PPOOptions, Ranges
 
 
@@ -28,7 +29,7 @@ class Options(PPOOptions):
     address: str | None = None
     """HOST:PORT of a Ray cluster that runs already; by default one is started for this run alone."""
 
-    program: ClassVar[str] = "train.rllib"
+    script: ClassVar[str] = SCRIPTS["train.rllib"]
     without_effect: ClassVar[tuple[str, ...]] = ("output", "resume", "address", "threads", "quiet")
     free_on_resume: ClassVar[tuple[str, ...]] = (
         "steps", "minutes", "resume", "runners", "address", "threads", "quiet", "output",

@@ -20,9 +20,9 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from baselines.system import console
-from train.command_line import read_options
+from train.command_line import SCRIPTS, read_options
 
-SCRIPT = "formation-tune-expert"
+SCRIPT = SCRIPTS[__name__]
 
 
 def _refuse(message: object) -> NoReturn:

@@ -16,7 +16,7 @@ from baselines.system.reading import read_bytes
 from baselines.system.writing import write_text
 from formation_env import FormationConfig
 from train.seeds import TUNING_SEEDS
-from train.tune_expert.options import FREE_ON_RESUME, PROGRAM, Options
+from train.tune_expert.options import FREE_ON_RESUME, SCRIPT, Options
 from train.tune_expert.search import Candidate
 
 _WRITING_INTERVAL = 5.0  # s, at least, between two writings of the file
@@ -50,7 +50,7 @@ class Journal:
                 f"--resume: {self._path}: {problem.strerror}; expected a journal"
             ) from None
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
-            raise ValueError(f"--resume: {self._path} is not a journal of {PROGRAM}") from None
+            raise ValueError(f"--resume: {self._path} is not a journal of {SCRIPT}") from None
         now = json.loads(json.dumps({**self._head["options"], "package": self._head["package"]}))
         for name, value in {**options, "package": package}.items():
             if now.get(name) != value:

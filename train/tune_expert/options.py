@@ -10,11 +10,12 @@ from typing import final
 from baselines.policies.tuned import FEEDFORWARDS
 from formation_env import FormationConfig, configure
 from formation_env.validation.checks import integer, number, require
+from train.command_line import SCRIPTS
 from train.options import defaults, repeating_command
 from train.seeds import MOST_TUNING_EPISODES
 from train.tune_expert.tunables import TUNABLES, Tunable
 
-PROGRAM = "train.tune_expert"
+SCRIPT = SCRIPTS["train.tune_expert"]
 # Options that may differ where a search is continued.
 FREE_ON_RESUME = ("resume", "threads", "quiet", "output", "gains", "evaluations")
 
@@ -32,7 +33,7 @@ class Options:
     scenario: str = "nominal"
     """Name of the scenario that gains are searched for: nominal, paper, experiment, agile or swarm."""
     action: str | None = None
-    """Action level: wrench, rates or reference; by default the scenario's own."""
+    """Name of an action level; by default the scenario's own."""
     feedforward: str = "both"
     """How the third and fourth derivatives of the reference are taken: zero, derived, or both tried.
     For the expert alone."""
@@ -94,5 +95,5 @@ class Options:
     def command(self) -> str:
         """The command that repeats the result, without the options that do not change it."""
         return repeating_command(
-            PROGRAM, asdict(self), defaults(Options), ("resume", "threads", "quiet", "output")
+            SCRIPT, asdict(self), defaults(Options), ("resume", "threads", "quiet", "output")
         )
