@@ -128,7 +128,7 @@ def test_a_small_search_improves_detuned_gains(
     gains, other = tmp_path / "gains.json", tmp_path / "other.json"
     assert main([*TINY, "--output", f"{tmp_path / 'a'}", "--gains", f"{gains}"]) == 0
     made = json.loads(gains.read_text())["gains"]["nominal"]["wrench"]["made"]
-    assert made["score"][1] > 1.0 and made["return_minus_expert"][1] > 0.0
+    assert made["score"][1] > 0.0 and made["score_minus_expert"][1] > 0.0
     assert made["seed"] == 1 and made["command"].startswith(
         "python -m train.tune_expert --episodes 4 "
     )

@@ -150,9 +150,7 @@ def _score(key: Key, each: Shipped | None) -> str:
     three = each.card.score.get(key.scenario) if each else None
     if three is None:
         return "-"
-    value, low, high = three
-    text = _interval(value, low, high)
-    return text.replace(f"{value:.3f}", f"**{value:.3f}**", 1) if low > 1.0 else text
+    return _interval(*three)
 
 
 def _best(runs: Sequence[Curve]) -> str:

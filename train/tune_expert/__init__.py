@@ -51,12 +51,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("interrupted: --resume goes on where the journal ends", file=sys.stderr)
         return 130
-    score, gain = best.result.score, best.result.differences["return"]
+    score, gain = best.result.score, best.result.differences["expert"]["score"]
     console.say(
         f"score {score.value:.3f} ({score.low:.3f} .. {score.high:.3f}) on validation seeds, "
     )
     console.say(
-        f"return {gain.value:+.4f} ({gain.low:+.4f} .. {gain.high:+.4f}) beside the expert's"
+        f"score {gain.value:+.4f} ({gain.low:+.4f} .. {gain.high:+.4f}) beside the expert's"
     )
     console.say(json.dumps(best.gains.document(), indent=1))
     return 0
