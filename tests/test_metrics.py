@@ -279,3 +279,50 @@ def test_a_crash_of_the_leader_is_a_failure_of_its_own_kind() -> None:
     assert [KINDS[int(k)] for k in columns["failure"]] == ["leader"] * 3
     assert (columns["failed"] == 1.0).all()
     assert len(set(KINDS)) == len(KINDS)
+
+
+# -- hostile flights ------------------------------------------------------------------------------
+
+
+class Hostile:
+    """The expert, but from some time after the trigger without thrust, or beside its slot."""
+
+    def __init__(
+        self, config: FormationConfig, cut: float = np.inf, aside: tuple[float, ...] = (0, 0, 0)
+    ) -> None:
+        self.config, self._expert = config, make_policy("expert", config)
+        self._cut, self._aside = cut, np.array(aside)
+        self._slices = config.layout.slices
+
+    def reset(self, seed: int | None = None, worlds: int = 1) -> None:
+        self._expert.reset(seed=seed, worlds=worlds)
+        self._since = np.zeros(worlds)
+
+    def act(self, rows: Any) -> Any:
+        moved = rows.copy()
+        moved[..., self._slices["slot_error"]] += self._aside
+        actions = self._expert.act(moved)
+        self._since += self.config.control_period * rows[:, 0, self._slices["started"].start]
+        actions[self._since > self._cut] = (-1.0, 0.0, 0.0, 0.0)
+        return actions
+
+
+@pytest.mark.parametrize("scenario", ["nominal", "paper"])
+def test_hostile_flights_score_less_than_flying_on(scenario: str) -> None:
+    """On every seed, and all figures beside the score say so too."""
+    config = configure(scenario)
+    honest = fly_policy(Hostile(config), range(6))  # type: ignore[arg-type]
+    window = window_ticks(config) * config.control_period
+    for hostile in (
+        Hostile(config, cut=10.0),
+        Hostile(config, aside=(0.1, 0.0, 0.0)),
+        Hostile(config, aside=(0.0, 0.0, 0.35)),
+    ):
+        columns = fly_policy(hostile, range(6))  # type: ignore[arg-type]
+        assert (columns["score"] < honest["score"]).all()
+        assert (columns["slot_error"] > honest["slot_error"]).all()
+        assert (columns["slot_error_late"] > honest["slot_error_late"]).all()
+        if hostile._cut < np.inf:
+            assert (columns["failed"] == 1.0).all()
+            # A second of falling, at most, still counts.
+            assert (columns["score"] < 11.0 / window).all()

@@ -124,7 +124,8 @@ def estimates(samples: Mapping[str, Floats], medians: Collection[str] = ()) -> d
             resampled[name].append(over_runs(figures))
     found = {}
     for name, x in each.items():
-        value, count = float(values[name]) + 0.0, int(np.isfinite(x).sum())  # no negative zero
+        count = int(np.isfinite(x).sum())
+        value = float(values[name]) + 0.0 if count else np.nan  # no negative zero
         ends = interval_of(np.concatenate(resampled[name])) if name in varied else (value, value)
         found[name] = Estimate(value, *ends, count)
     return found

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 from baselines import files
 from baselines.files import SUFFIX
-from baselines.registry import USUAL, Recipe, Unshipped, recipe
+from baselines.policies.learned import Misfit
+from baselines.registry import METHODS, USUAL, Recipe, Unshipped, recipe
 from formation_env import FormationConfig
 
 BEST = "best.safetensors"  # the policy of a training run's folder
@@ -24,7 +26,8 @@ Task = tuple[str, str]  # scenario and action level
 
 
 @final
-class TrainingRuns(NamedTuple):
+@dataclass(frozen=True)
+class TrainingRuns:
     """The policy files of one method's training runs, by the task trained for and the training seed."""
 
     method: str
@@ -40,12 +43,7 @@ class TrainingRuns(NamedTuple):
         own = self._of((config.scenario, config.action), config)
         if own:
             return own
-        try:
-            shipped = recipe(self.method, config)
-        except Unshipped:
-            shipped = None
-        except ValueError:  # no method of the registry
-            shipped = None
+        shipped = self._shipped(config)
         if shipped and shipped.card and shipped.card.scenario == config.scenario:
             return {self.method: shipped}
         usual = self._of((USUAL, config.action), config)
@@ -57,6 +55,13 @@ class TrainingRuns(NamedTuple):
                 f"{config.scenario!r} or {USUAL!r}"
             )
         return {self.method: shipped}
+
+    def _shipped(self, config: FormationConfig) -> Recipe | None:
+        """The method's policy in the registry, if it has one that fits."""
+        try:
+            return recipe(self.method, config) if self.method in METHODS else None
+        except Misfit:
+            return None
 
     def _of(self, task: Task, config: FormationConfig) -> dict[str, Recipe]:
         found = sorted(self.files.get(task, {}).items())
