@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import math
 import re
 import shlex
@@ -108,9 +109,11 @@ def test_the_guide_is_the_one_that_the_script_makes(root: Path) -> None:
 def test_the_pictures_show_the_curves_that_are_checked_in(root: Path) -> None:
     from train.cards.pictures import digest
 
-    for name, curves in guide.pictures(guide.gather(root).curves).items():
+    facts = guide.gather(root)
+    for name, curves in guide.pictures(facts.curves).items():
         data = (root / shipping.CURVES / name).read_bytes()
-        assert digest(curves).encode() in data, f"{name}: run python -m train.cards"
+        compared = facts.board.get((curves[0].key.scenario, curves[0].key.action), {})
+        assert digest(curves, compared).encode() in data, f"{name}: run python -m train.cards"
         assert len(data) < 60_000
 
 
@@ -242,6 +245,30 @@ def test_a_run_becomes_a_policy_a_curve_and_a_page(
     assert f"{result.score.value:.3f}" in text and "`rllib-ppo` | - | 2.000, 1 seed" in text
     assert "`python -m train.ppo --seed 3`" in text and "48-8-4 tanh" in text
     assert "curves/nominal-wrench.png" in text
+
+
+def test_curves_are_drawn_beside_the_scores_of_the_board(checkout: Path, tmp_path: Path) -> None:
+    """Of the expert and `ff`, at the curve's scenario and level; another score gives another picture."""
+    pytest.importorskip("matplotlib")
+    run = a_run(tmp_path / "run")
+    assert main(checkout, "--curve", run) == main(checkout) == 0
+    picture = checkout / shipping.CURVES / "nominal-wrench.png"
+    alone = picture.read_bytes()
+    (checkout / guide.BOARD).parent.mkdir(parents=True)
+    scores = {"expert": 0.91, "ff": 0.95, "hover": 0.1}
+    policies = {name: {"metrics": {"score": [s, s, s, 9]}} for name, s in scores.items()}
+    other = {"action": "rates", "policies": {}}
+    document = {
+        "scenarios": {"nominal": {"action": "wrench", "policies": policies}, "x:rates": other}
+    }
+    (checkout / guide.BOARD).write_text(json.dumps(document))
+    shown = {"expert": 0.91, "ff": 0.95}
+    assert guide.gather(checkout).board == {("nominal", "wrench"): shown, ("x", "rates"): {}}
+    assert main(checkout) == 0
+    assert picture.read_bytes() != alone
+    (checkout / guide.BOARD).write_text("{}")
+    with pytest.raises(ValueError, match=r"results\.json: not what"):
+        guide.gather(checkout)
 
 
 def test_the_median_of_several_runs_ships_and_all_curves(checkout: Path, tmp_path: Path) -> None:

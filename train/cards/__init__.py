@@ -166,7 +166,8 @@ def _guide(checkout: Path) -> int:
     paths = []
     for name, curves in guide.pictures(facts.curves).items():
         paths.append(checkout / shipping.CURVES / name)
-        draw(curves, paths[-1])
+        key = curves[0].key
+        draw(curves, facts.board.get((key.scenario, key.action), {}), paths[-1])
     write_text(checkout / guide.README, text)
     for name in facts.stale:
         print(f"{name}: not in the table of generalisation; run --generalise", file=sys.stderr)

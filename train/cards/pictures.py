@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,9 +29,9 @@ _OTHER_STYLES = (("#888888", "p"), ("#7A3E9D", "h"))
 _VERSION = 3  # of the drawing, part of the digest
 
 
-def digest(curves: Sequence[Curve]) -> str:
+def digest(curves: Sequence[Curve], compared: Mapping[str, float]) -> str:
     """SHA-256 of what a picture shows. It is in the picture's file, so that a stale picture is noticed."""
-    shown = "\n".join(f"{c.name}\n{to_text(c)}" for c in curves)
+    shown = "\n".join(f"{c.name}\n{to_text(c)}" for c in curves) + f"\n{dict(compared)}"
     return hashlib.sha256(f"{_VERSION}\n{shown}".encode()).hexdigest()
 
 
@@ -66,8 +66,9 @@ def band(runs: Sequence[Curve]) -> Band:
     )
 
 
-def draw(curves: Sequence[Curve], path: Path) -> None:
-    """The curves of one scenario and action level, in the order of their methods.
+def draw(curves: Sequence[Curve], compared: Mapping[str, float], path: Path) -> None:
+    """The curves of one scenario and action level, in the order of their methods, and as lines the scores of the
+    policies that they are `compared` with.
 
     Written whole or not at all; the same curves give the same bytes with the same Matplotlib. Raises
     `OSError`, `ModuleNotFoundError`.
@@ -84,11 +85,11 @@ def draw(curves: Sequence[Curve], path: Path) -> None:
         axes = figure.subplots(1, 2, sharey=True)
         for key in methods:
             _line(axes, [c for c in curves if c.key == key], styles[key.method])
-        _finish(axes, curves)
+        _finish(axes, curves, compared)
         lines, labels = axes[0].get_legend_handles_labels()
         figure.legend(lines, labels, loc="outside lower center", ncols=min(len(lines), 5))
         canvas.draw()  # type: ignore[no-untyped-call]
-    write_bytes(path, png(canvas, digest(curves)))
+    write_bytes(path, png(canvas, digest(curves, compared)))
 
 
 def _styles(methods: Sequence[str]) -> dict[str, tuple[str, str]]:
@@ -110,12 +111,17 @@ def _line(axes: Any, runs: Sequence[Curve], style: tuple[str, str]) -> None:
                 markevery=max(1, len(x) // 6), label=f"{runs[0].key.method} ({number})")  # fmt: skip
 
 
-def _finish(axes: Any, curves: Sequence[Curve]) -> None:
-    """Axes and labels, which do not depend on the method."""
+_LINES = ("--", ":", "-.")
+
+
+def _finish(axes: Any, curves: Sequence[Curve], compared: Mapping[str, float]) -> None:
+    """Axes, labels and lines, which do not depend on the method."""
     axes[0].set_yscale("function", functions=(stretch, unstretch))
     axes[0].set_yticks(TICKS, minor=False)
     axes[0].set_ylim(0.0, 1.0)
     for ax, label in zip(axes, ("agent steps, millions", "minutes of training"), strict=True):
+        for (name, score), style in zip(compared.items(), _LINES, strict=False):
+            ax.axhline(score, color="#222222", linewidth=1.0, linestyle=style, label=name)
         ax.set_xlabel(label)
         ax.set_xlim(left=0.0)
     axes[0].set_ylabel("score")
