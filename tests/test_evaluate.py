@@ -187,8 +187,9 @@ def test_training_runs_fly_what_they_were_trained_for(
     for seed in (3, 5, 11):
         trained(tmp_path / "runs", seed)
     trained(tmp_path / "runs", 8, "paper")
-    file = trained(tmp_path / "ships", 0, "agile") / "best.safetensors"
-    file.rename(shipped / "ppo-agile-wrench.safetensors")
+    for scenario in ("agile", "nominal"):
+        file = trained(tmp_path / "ships", 0, scenario) / "best.safetensors"
+        file.rename(shipped / f"ppo-{scenario}-wrench.safetensors")
     arguments = ["--scenarios", "nominal,paper,swarm,agile", "--episodes", "2", "--duration", "0.2"]
     arguments += ["--runs", str(tmp_path / "runs"), "--policies", "ppo"]
     arguments += ["--output", str(tmp_path / "out"), "--matrix", str(tmp_path / "out/raw")]

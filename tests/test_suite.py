@@ -73,6 +73,7 @@ def test_a_median_of_resamples_is_numpys() -> None:
     x = np.random.default_rng(3).normal(size=(1, 9))
     whole = estimate(x, middle=True)
     assert whole.value == np.median(x)
+    assert estimate(x[:, :4], middle=True).value == np.median(x[:, :4])
     # Against medians of resamples, of an even number too.
     for count in (40, 41):
         y = np.random.default_rng(4).normal(size=count)

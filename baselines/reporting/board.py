@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import formation_env
@@ -48,7 +49,8 @@ Cell = Callable[[Scenario, str], str]
 
 
 def leaderboard(result: Report, command: str, figures: Matrix) -> str:
-    """The text of LEADERBOARD.md: with intervals in the table, or without where it would be too long."""
+    """The text of LEADERBOARD.md: where it would be too long without intervals in the table, and if need be
+    without the failures, which the pages have too."""
     best = {id(s): agreed_best(s) for s in result.scenarios.values() if s.results}
 
     def cell(number: Cell) -> Cell:
@@ -63,9 +65,13 @@ def leaderboard(result: Report, command: str, figures: Matrix) -> str:
         return text
 
     said = findings(result, figures)
-    texts = (_page(result, command, cell(number), said) for number in (_with_interval, _alone))
-    text = next(texts)
-    return text if len(text.encode()) <= LARGEST else next(texts)
+    page = partial(_page, result, command, said)
+    text = ""
+    for number, failures in ((_with_interval, True), (_alone, True), (_alone, False)):
+        text = page(cell(number), _failures(result) if failures else "")
+        if len(text.encode()) <= LARGEST:
+            break
+    return text
 
 
 def _with_interval(scenario: Scenario, policy: str) -> str:
@@ -76,10 +82,9 @@ def _alone(scenario: Scenario, policy: str) -> str:
     return f"{scenario.results[policy].score.value:.3f}"
 
 
-def _page(result: Report, command: str, cell: Cell, said: list[str]) -> str:
+def _page(result: Report, command: str, said: list[str], cell: Cell, failures: str) -> str:
     layout = next(iter(result.scenarios.values())).config.layout.version
     last = result.seed + result.episodes - 1
-    failures = _failures(result)
     return "\n\n".join(
         [
             "# Leaderboard",

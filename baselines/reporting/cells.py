@@ -29,7 +29,7 @@ def scored(s: Estimate) -> str:
 def rounded(s: Estimate) -> str:
     """A score with the longer half of its interval."""
     half = max(s.high - s.value, s.value - s.low)
-    return f"{s.value:.3f}" if half < 0.0005 else f"{s.value:.3f} ± {half:.3f}"
+    return f"{s.value:.3f}" if half < 0.0005 else f"{s.value:.3f} ±{f'{half:.3f}'.lstrip('0')}"
 
 
 def interval(name: str, e: Estimate) -> str:

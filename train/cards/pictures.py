@@ -67,8 +67,8 @@ def band(runs: Sequence[Curve]) -> Band:
 
 
 def draw(curves: Sequence[Curve], compared: Mapping[str, float], path: Path) -> None:
-    """The curves of one scenario and action level, in the order of their methods, and as lines the scores of the
-    policies that they are `compared` with.
+    """The curves of one scenario and action level, in the order of their methods, and as lines the scores of
+    the policies that they are `compared` with.
 
     Written whole or not at all; the same curves give the same bytes with the same Matplotlib. Raises
     `OSError`, `ModuleNotFoundError`.
