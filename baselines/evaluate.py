@@ -2,13 +2,13 @@
 
 Policies are named, or are files (see `baselines.files`), or your own code (`baselines.own`). Each flies the
 same episodes: world i of a scenario has the seed `seed + i`, as `gym.make(...).reset(seed=seed + i)` has.
-Hover and the expert always fly, because they are the 0 and the 1 of the score. Results do not depend on the
-number of threads, nor on whether the episodes are shared out over a Ray cluster (`--ray`).
+The score is absolute, 0 to 1: it needs no other policy. Results do not depend on the number of threads, nor
+on whether the episodes are shared out over a Ray cluster (`--ray`).
 
 Writes the full report, `results.json` (layout: see `baselines.reporting.report`) and `results.md`, into the
-output folder, then prints scores and failures. `--leaderboard` also writes `LEADERBOARD.md` and the
-README's extract of it. From Python the same is `baselines.evaluate(policies, scenarios)`: this module can be
-called.
+output folder, then prints the scores. `--matrix` also writes every episode's figures, `--leaderboard`
+`LEADERBOARD.md`, its pages and the README's extract of it. From Python the same is
+`baselines.evaluate(policies, scenarios)`: this module can be called.
 """
 
 from __future__ import annotations
@@ -29,10 +29,11 @@ from typing import Any, final
 from baselines.own import PolicyError, label
 from baselines.registry import available
 from baselines.reporting import board, report
-from baselines.scoring import cluster, options
+from baselines.scoring import cluster, options, suite
 from baselines.scoring import evaluation as scoring
 from baselines.scoring.evaluation import EPISODES, Executor
 from baselines.scoring.results import Report, summary
+from baselines.scoring.runs import find_runs
 from baselines.scoring.tasks import changed, check_scenario, tasks
 from baselines.system import console
 from baselines.system.progress import compiling
@@ -68,14 +69,15 @@ def evaluate(
 
     `policies`: one or a list of names, paths, `module:Name` (see `baselines.make_policy`), classes or
     functions that are called with the configuration, and objects with `reset(seed)` and `act(observation)`
-    (see `baselines.own`); or a dictionary that gives them names. `scenarios`: one or a list of names
+    (see `baselines.own`); or a dictionary that gives them names, where a list is of training runs of one
+    method (as are names that end in `#0`, `#1`, ...) and makes one row. `scenarios`: one or a list of names
     (`"paper"`, `"paper:rates"`), or a dictionary from names of yours to `FormationConfig`s or to
     dictionaries of fields, such as `{"windy": {"scenario": "paper", "gust": 0.5}}`.
     `threads` is by default one for each core; `quiet` shows no progress.
 
     The result prints as a table. `result.scenarios[name].results[policy]` holds the score with its interval,
-    the metrics and the failures. Raises `ValueError` naming what is wrong, and `PolicyError` where your own
-    policy fails in flight.
+    the metrics, the failures and every episode of each run. Raises `ValueError` naming what is wrong, and
+    `PolicyError` where your own policy fails in flight.
     """
     threads = os.cpu_count() or 1 if threads is None else integer("threads", threads, 1, 1024)
     episodes = integer("episodes", episodes, 1, 1_000_000)
@@ -83,7 +85,7 @@ def evaluate(
     named = _by_name(policies)
     with compiling(quiet):
         configs = _configurations(scenarios)
-        flyable = scoring.find_flyable_with_anchors(configs, named)
+        flyable = scoring.find_flyable(configs, named)
         scoring.warm(configs, flyable)
     return scoring.evaluate(configs, named, episodes, seed, threads, quiet, flyable=flyable)
 
@@ -144,15 +146,19 @@ def _configs(given: argparse.Namespace) -> dict[str, FormationConfig]:
 
 def _claim(given: argparse.Namespace, stack: ExitStack) -> None:
     """Claim the folders that are written into. Raises `ValueError` naming what cannot be written."""
-    folders: dict[Path, tuple[Path, Sequence[str]]] = {
-        given.output.resolve(): (given.output, FILES)
-    }
+    written = [given.output / name for name in FILES]
+    if given.matrix is not None:
+        written.append(suite.file_of(given.matrix))
     if given.leaderboard is not None:
         try:
             board.check(given.leaderboard)
         except ValueError as problem:
             raise ValueError(f"argument --leaderboard: {problem}") from None
-        folders.setdefault(given.leaderboard.resolve(), (given.leaderboard, (board.NAME,)))
+        written.append(given.leaderboard / board.NAME)
+    folders: dict[Path, tuple[Path, list[str]]] = {}
+    for path in written:
+        _, names = folders.setdefault(path.parent.resolve(), (path.parent, []))
+        names.append(path.name)
     for folder, names in folders.values():
         try:
             stack.enter_context(claim(folder))
@@ -177,6 +183,7 @@ def _command(given: argparse.Namespace, available_policies: list[str]) -> str:
     for name, chosen in {"policies": available_policies, "scenarios": all_scenarios}.items():
         if getattr(given, name) != chosen:
             words.append(f"--{name} {shlex.quote(','.join(getattr(given, name)))}")
+    words += [f"--runs {shlex.quote(str(path))}" for path in given.runs]
     words += [f"--config {shlex.quote(str(path))}" for path in given.config]
     for option, settings in (("--set", given.settings), ("--sweep", given.sweeps)):
         words += [f"{option} {shlex.quote(f'{s.field}={s.text}')}" for s in settings]
@@ -223,9 +230,11 @@ def _fly(
             raise ValueError("argument --address: only with --ray")
         with compiling():
             configs = _configs(given)
-            available_policies = available(configs.values())
+            runs = find_runs(given.runs)
+            available_policies = list(dict.fromkeys([*available(configs.values()), *runs]))
             given.policies = getattr(given, "policies", available_policies)
-            flyable = scoring.find_flyable_with_anchors(configs, given.policies)
+            policies = {name: runs.get(name, name) for name in given.policies}
+            flyable = scoring.find_flyable(configs, policies)
             _claim(given, stack)
             if not given.ray:
                 scoring.warm(configs, flyable)
@@ -235,7 +244,7 @@ def _fly(
         with _executor(given) as executor:
             g = given
             flown = scoring.evaluate(
-                configs, g.policies, g.episodes, g.seed, g.threads, False, executor, flyable
+                configs, policies, g.episodes, g.seed, g.threads, False, executor, flyable
             )
     except cluster.Unreachable as problem:
         parser.error(str(problem))
@@ -265,6 +274,8 @@ def _write(result: Report, given: argparse.Namespace, command: str) -> list[Path
     write_text(folder / "results.json", report.to_json(result, command))
     write_text(folder / "results.md", about + report.markdown(result))
     written = [folder / "results.md", folder / "results.json"]
+    if given.matrix is not None:
+        written.append(suite.write(suite.matrix(result), given.matrix))
     if given.leaderboard is not None:
         written += board.write(result, given.leaderboard, command)
     return written
@@ -278,7 +289,7 @@ def _print(
     if _texts(collected):
         console.say("\n" + "\n".join(map(wrapped, _texts(collected))))
     files = ", ".join(map(str, written))
-    console.say("\n" + wrapped(f"intervals, all metrics and remarks: {files}"))
+    console.say("\n" + wrapped(f"all metrics and differences: {files}"))
 
 
 @final

@@ -38,7 +38,7 @@ class Figure(NamedTuple):
     seed: int
     steps: int  # agent steps
     minutes: float  # of processor time, the score's not counted
-    score: tuple[float, float, float]  # 0 as hover, 1 as the expert, and its 95 % interval
+    score: tuple[float, float, float]  # and its 95 % interval
     failed: float  # part of the episodes
 
 

@@ -139,5 +139,7 @@ def test_the_bar_begins_when_everything_is_compiled(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(scoring, "fly", flown)
     monkeypatch.setattr(scoring, "Bar", bar)
-    scoring.evaluate({"nominal": configure("nominal", duration=0.1)}, ["ff"], episodes=1)
-    assert happened == ["warm"] * 3 + ["bar"] + ["fly"] * 3
+    scoring.evaluate(
+        {"nominal": configure("nominal", duration=0.1)}, ["hover", "expert"], episodes=1
+    )
+    assert happened == ["warm"] * 2 + ["bar"] + ["fly"] * 2

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 
 from baselines import evaluate as command
-from baselines import make_policy
+from baselines import make_policy, registry
+from baselines.files import Card, Network, save
 from baselines.reporting.report import to_json
-from baselines.scoring import rollout
+from baselines.scoring import rollout, suite
 from baselines.scoring.evaluation import evaluate
 from baselines.scoring.metrics import EPISODE
 from baselines.scoring.results import Report
@@ -29,13 +30,13 @@ SHORT = 4.0  # s
 @pytest.fixture(scope="module")
 def short_report() -> Report:
     configs = {name: configure(name, duration=SHORT) for name in ("nominal", "swarm")}
-    return evaluate(configs, ["expert", "random", "ff", "hover"], episodes=5, seed=7)
+    return evaluate(configs, ["expert", "random", "hover"], episodes=5, seed=7)
 
 
 # -- the numbers ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["expert", "ff", "random"])
+@pytest.mark.parametrize("name", ["expert", "hover", "random"])
 @pytest.mark.parametrize("scenario", ["nominal", "agile"])
 def test_a_rollout_is_gym_make(name: str, scenario: str) -> None:
     """World 2 of a rollout from seed 5 is the episode of `reset(seed=7)`, to the last bit.
@@ -59,7 +60,7 @@ def test_a_rollout_is_gym_make(name: str, scenario: str) -> None:
     assert ticks == config.max_steps or terminated
 
 
-@pytest.mark.parametrize("name", ["expert", "ff", "random"])
+@pytest.mark.parametrize("name", ["expert", "random"])
 def test_groups_do_not_matter(name: str) -> None:
     config = configure("paper", duration=1.0)
     whole = rollout.fly(make_policy(name, config), range(20, 27))
@@ -82,7 +83,7 @@ def test_groups_cover_every_seed_once() -> None:
 def test_threads_do_not_matter(monkeypatch: pytest.MonkeyPatch, short_report: Report) -> None:
     monkeypatch.setattr(rollout.chunks, "__defaults__", (9,))
     configs = {name: s.config for name, s in short_report.scenarios.items()}
-    other = evaluate(configs, ["expert", "random", "ff", "hover"], episodes=5, seed=7, threads=3)
+    other = evaluate(configs, ["expert", "random", "hover"], episodes=5, seed=7, threads=3)
     assert to_json(other) == to_json(short_report)
 
 
@@ -91,7 +92,7 @@ def test_every_policy_flies_the_same_worlds() -> None:
     what one tick of action does, while another seed starts up to 0.4 m elsewhere."""
     config = configure("nominal", duration=0.02)
     errors = [
-        rollout.fly(make_policy(name, config), range(4))["slot_error_rms"]
+        rollout.fly(make_policy(name, config), range(4))["slot_error"]
         for name in ("expert", "hover", "random")
     ]
     assert errors[1] == pytest.approx(errors[0], abs=0.005)
@@ -104,31 +105,132 @@ def test_the_expert_beats_hover_and_random(scenario: str) -> None:
     """On every seed, not only in the mean."""
     config = configure(scenario)
     expert, hover, random = (
-        rollout.fly(make_policy(name, config), range(4))["return"]
+        rollout.fly(make_policy(name, config), range(4))["score"]
         for name in ("expert", "hover", "random")
     )
     assert (expert > hover).all()
     assert (expert > random).all()
 
 
-def test_scores_are_normalised(short_report: Report) -> None:
-    for scenario in short_report.scenarios.values():
-        results = scenario.results
-        returns = {name: r.summary["return"].value for name, r in results.items()}
-        span = returns["expert"] - returns["hover"]
-        for name, result in results.items():
-            expected = (returns[name] - returns["hover"]) / span
-            assert result.score.value == pytest.approx(expected, abs=1e-12)
-        assert results["hover"].score[:3] == (0.0, 0.0, 0.0)
-        assert results["expert"].score[:3] == (1.0, 1.0, 1.0)
-        assert results["expert"].differences["return"][:3] == (0.0, 0.0, 0.0)
-
-
-def test_anchors_fly_unasked(short_report: Report) -> None:
+def test_scores_need_no_other_policy(short_report: Report) -> None:
+    """Neither hover nor the expert flies unasked, and the figures are those of an evaluation with them."""
     config = short_report.scenarios["nominal"].config
-    alone = evaluate({"nominal": config}, ["ff"], episodes=5, seed=7).scenarios["nominal"].results
-    assert list(alone) == ["ff"]
-    assert alone["ff"] == short_report.scenarios["nominal"].results["ff"]
+    alone = (
+        evaluate({"nominal": config}, ["random"], episodes=5, seed=7).scenarios["nominal"].results
+    )
+    assert list(alone) == ["random"] and alone["random"].differences == {}
+    together = short_report.scenarios["nominal"].results["random"]
+    assert alone["random"].summary == together.summary
+    assert (
+        0.0 < together.score.value < short_report.scenarios["nominal"].results["expert"].score.value
+    )
+    assert list(together.differences) == ["expert"]
+
+
+# -- training runs --------------------------------------------------------------------------------
+
+
+def test_sources_of_one_row_are_its_runs() -> None:
+    """By names that end in a number, or in a list; what is reported is the median run."""
+    config = configure("nominal", duration=1.0)
+    numbered = {"mine#0": "hover", "mine#4": "random", "mine#7": "expert"}
+    for policies, names in (
+        (numbered, list(numbered)),
+        ({"mine": ["hover", "random", "expert"]}, ["mine#0", "mine#1", "mine#2"]),
+    ):
+        (row,) = (
+            evaluate({"short": config}, policies, episodes=3).scenarios["short"].results.items()
+        )
+        name, result = row
+        assert name == "mine" and list(result.runs) == names
+        order = sorted(result.scores, key=lambda run: result.scores[run])
+        assert result.median == order[1] and result.score.value == result.scores[order[1]]
+        assert result.score.low < result.score.value < result.score.high
+
+
+@pytest.mark.parametrize(
+    ("policies", "message"),
+    [
+        ({"mine": "hover", "mine#0": "random"}, "'mine' and 'mine#0': expected one of them"),
+        ({"mine#0": "hover", "mine": "random"}, "'mine' and 'mine': expected one of them"),
+        ({"mine": []}, "policy 'mine': no training run: expected at least one"),
+        ({"mine#0": "hover", "mine#1": "best"}, "'best': expected one of"),
+    ],
+)
+def test_rows_that_cannot_be(policies: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        evaluate({"short": configure("nominal", duration=0.1)}, policies, episodes=1)
+
+
+def trained(folder: Path, seed: int, scenario: str = "nominal", method: str = "ppo") -> Path:
+    """A training run's folder with a policy whose network is drawn anew for every seed."""
+    config = configure(scenario, action="wrench")
+    entries, size = config.layout.size, config.action_size
+    card = Card("wrench", entries, size, scenario=scenario, method=method, seed=seed)
+    weights = np.random.default_rng(seed).normal(0.0, 0.01, (size, entries)).astype(np.float32)
+    zeros = np.zeros(entries, np.float32)
+    run = folder / f"{method}-{scenario}-{seed}"
+    run.mkdir(parents=True)
+    save(run / "best.safetensors", card, Network((weights,), (zeros[:size],), zeros, zeros + 1))
+    (run / "last.safetensors").write_bytes(b"not read")
+    return run
+
+
+@pytest.mark.filterwarnings("ignore::baselines.policies.transfer.TransferWarning")
+def test_training_runs_fly_what_they_were_trained_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And where there is neither a run nor a file that ships for a scenario, what `nominal` has."""
+    shipped = tmp_path / "shipped"
+    shipped.mkdir()
+    monkeypatch.setattr(registry, "SHIPPED", shipped)
+    for seed in (3, 5, 11):
+        trained(tmp_path / "runs", seed)
+    trained(tmp_path / "runs", 8, "paper")
+    for scenario in ("agile", "nominal"):
+        file = trained(tmp_path / "ships", 0, scenario) / "best.safetensors"
+        file.rename(shipped / f"ppo-{scenario}-wrench.safetensors")
+    arguments = ["--scenarios", "nominal,paper,swarm,agile", "--episodes", "2", "--duration", "0.2"]
+    arguments += ["--runs", str(tmp_path / "runs"), "--policies", "ppo"]
+    arguments += ["--output", str(tmp_path / "out"), "--matrix", str(tmp_path / "out/raw")]
+    assert command.main(arguments) == 0
+    document = json.loads((tmp_path / "out/results.json").read_text(encoding="utf-8"))
+    found = {name: each["policies"]["ppo"] for name, each in document["scenarios"].items()}
+    three = ["ppo#3", "ppo#5", "ppo#11"]
+    assert {name: list(each["runs"]) for name, each in found.items()} == {
+        "nominal": three, "paper": ["ppo#8"], "swarm": three, "agile": ["ppo"]
+    }  # fmt: skip
+    assert document["scenarios"]["swarm"]["files"]["ppo"]["differs"]
+    assert not document["scenarios"]["nominal"]["files"]["ppo"]["differs"]
+    assert f"--runs {tmp_path / 'runs'}" in document["command"]
+    assert "of several training runs the median is shown: ppo#" in " ".join(
+        capsys.readouterr().out.split()
+    )
+    raw = suite.read(tmp_path / "out/raw.npz")
+    assert raw.training_seed.tolist() == [suite.ALONE, 3, 5, 8, 11]
+    assert raw.scenario == ("nominal", "paper", "swarm", "agile")
+    assert raw.runs("ppo", "nominal").shape == (3, 2) and raw.runs("ppo", "agile").shape == (1, 2)
+    for name, each in found.items():
+        assert raw.runs("ppo", name).mean(axis=1) == pytest.approx(
+            list(each["runs"].values()), abs=1e-5
+        )
+
+
+def test_runs_that_cannot_be_told_apart_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trained(tmp_path / "a", 3)
+    trained(tmp_path / "b", 3)
+    (tmp_path / "empty").mkdir()
+    for folder, message in (
+        (tmp_path, "of the same method, scenario, level and seed as"),
+        (tmp_path / "empty", "expected a policy file, or a folder with some best.safetensors"),
+    ):
+        with pytest.raises(SystemExit):
+            command.main([*QUICK, "--runs", str(folder), "--output", str(tmp_path / "out")])
+        error = capsys.readouterr().err
+        assert message in error and error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
 
 
 # -- the command ----------------------------------------------------------------------------------
@@ -165,7 +267,7 @@ def test_scenarios_at_other_levels(tmp_path: Path) -> None:
     [
         (
             ["--policies", "expert,best"],
-            "'best': expected one of 'expert', 'expert-tuned', 'ff'",
+            "'best': expected one of 'expert', 'expert-tuned', 'pd', 'hover', 'random'",
         ),
         (["--policies", "mine.safetensors"], "mine.safetensors: cannot be read: No such file"),
         (["--policies", ""], "'': expected one of"),
@@ -206,6 +308,7 @@ def test_output_that_cannot_be_written_is_noticed_first(
 ) -> None:
     (tmp_path / "file").write_text("mine", encoding="utf-8")
     (tmp_path / "busy" / "results.json").mkdir(parents=True)
+    (tmp_path / "raw.npz").mkdir()
     monkeypatch.setattr(command.scoring, "evaluate", pytest.fail)
     for folder, problem in (("file", "cannot write into"), ("busy", "is a folder")):
         with pytest.raises(SystemExit) as stop:
@@ -213,6 +316,9 @@ def test_output_that_cannot_be_written_is_noticed_first(
         assert stop.value.code == 2
         error = capsys.readouterr().err
         assert problem in error and folder in error
+    with pytest.raises(SystemExit):
+        command.main([*QUICK, "--output", str(tmp_path), "--matrix", str(tmp_path / "raw")])
+    assert "raw.npz is a folder" in capsys.readouterr().err
     assert (tmp_path / "file").read_text(encoding="utf-8") == "mine"
 
 
@@ -266,7 +372,7 @@ def test_warnings_come_once_and_last(
     assert shown.out.count("warning: gains of another scenario") == 1
     assert "gains of another" not in shown.err
     last = shown.out.split("\n\n")[-1]
-    assert last.startswith("intervals, all metrics and remarks:") and "results.md" in last
+    assert last.startswith("all metrics and differences:") and "results.md" in last
 
 
 @pytest.mark.parametrize("early", [True, False])

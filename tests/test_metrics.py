@@ -1,4 +1,4 @@
-"""The metrics on made-up trajectories whose figures are known, and the intervals against theory."""
+"""The metrics on made-up flights whose figures are known, and that a hostile flight gains nothing."""
 
 from __future__ import annotations
 
@@ -8,10 +8,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from baselines.registry import make_policy
-from baselines.scoring.intervals import Estimate, estimate, mean, normalised, summarise
-from baselines.scoring.metrics import EPISODE, KINDS, SETTLED, add_tick, begin, episodes
+from baselines.scoring.metrics import (
+    CAP,
+    KINDS,
+    SETTLED,
+    WINDOW,
+    add_tick,
+    begin,
+    deadline,
+    episodes,
+    window_ticks,
+)
 from baselines.scoring.rollout import fly as fly_policy
 from formation_env import FormationConfig, configure, splines
 from formation_env.memory.records import size
@@ -19,6 +30,7 @@ from formation_env.task import COLLISION, COLUMNS, FAILED, SEPARATION, Outcome
 
 TICKS = 200  # of 0.02 s
 OFFSETS = np.array(configure("nominal").offsets)
+GROUND = configure("paper")  # 15 s to start, 25 s scored
 
 
 @pytest.fixture(scope="module")
@@ -33,28 +45,31 @@ def fly(
     rewards: Any = 1.0,
     actions: Any = 0.0,
     trigger: int = 0,
-    ticks: int = TICKS,
+    ticks: int | None = None,
     failed: int = 0,
     leader_only: bool = False,
 ) -> dict[str, float]:
     """The figures of one world in which follower i is displaced from its slot by `errors[tick, i]`.
 
-    The leader moves along x; a second, dead world flies beside it and must not be counted.
+    The leader moves along x; a second, dead world flies beside it and must not be counted. The episode ends
+    after `ticks`, in a failure if one is given.
     """
-    errors = np.broadcast_to(errors, (TICKS, 2, 3)).astype(float)
-    rewards = np.broadcast_to(rewards, TICKS)
-    actions = np.broadcast_to(np.asarray(actions, dtype=np.float32), (TICKS, 2, 4))
-    tally = begin(config, np.array([trigger == 0, True]))
+    most = config.max_steps
+    ticks = most if ticks is None else ticks
+    errors = np.broadcast_to(errors, (most, 2, 3)).astype(float)
+    rewards = np.broadcast_to(rewards, most)
+    actions = np.broadcast_to(np.asarray(actions, dtype=np.float32), (most, 2, 4))
+    tally = begin(np.array([trigger == 0, True]))
     before = np.zeros((2, 2, 4), dtype=np.float32)
     live = np.array([True, False])
     for k in range(ticks):
         leader = np.array((0.1 * k, 0.0, -2.0))
-        leaders = np.full((2 if k >= TICKS // 2 else 0, 3), np.nan)
+        leaders = np.full((2, 3), np.nan)
         leaders[:1] = leader
         slots = leader - OFFSETS
         outputs = np.full((2, 2, size(Outcome)), np.nan)
         outputs[0, :, COLUMNS["slot"]], outputs[0, :, COLUMNS["slot_error"]] = slots, errors[k]
-        outputs[0, :, SEPARATION] = 0.7 - 0.001 * k
+        outputs[0, :, SEPARATION] = 0.7 - 0.0001 * k
         last = k == ticks - 1
         outputs[0, :, FAILED] = failed if last else 0
         terminated = np.array([last and (failed > 0 or leader_only), True])
@@ -62,13 +77,14 @@ def fly(
         living = add_tick(
             tally,
             k + 1,
+            window_ticks(config),
             live,
             np.array([k + 1 >= trigger, True]),
             leaders,
             outputs,
             np.array([rewards[k], np.nan]),
             terminated,
-            np.array([k == TICKS - 1, True]),
+            np.array([k == most - 1, True]),
             now,
             before,
             OFFSETS,
@@ -81,15 +97,14 @@ def fly(
 
 def test_perfect_flight(config: FormationConfig) -> None:
     figures = fly(config, 0.0)
-    assert figures["return"] == figures["reward_since_trigger"] == 1.0
-    assert figures["settled"] == 1.0
-    for name in ("slot_error_rms", "slot_error_steady", "slot_error_max", "settling_time"):
+    assert figures["score"] == figures["return"] == figures["settled"] == 1.0
+    for name in ("slot_error", "slot_error_late", "settling_time"):
         assert figures[name] == 0.0
     for name in ("effort", "smoothness", "failed", "trigger_time"):
         assert figures[name] == 0.0
     assert figures["leader_deviation"] == pytest.approx(0.0, abs=1e-12)
     assert figures["follower_deviation"] == pytest.approx(0.0, abs=1e-12)
-    assert figures["min_separation"] == pytest.approx(0.7 - 0.001 * (TICKS - 1))
+    assert figures["min_separation"] == pytest.approx(0.7 - 0.0001 * (TICKS - 1))
 
 
 def test_slot_errors(config: FormationConfig) -> None:
@@ -97,11 +112,18 @@ def test_slot_errors(config: FormationConfig) -> None:
     errors = np.zeros((TICKS, 2, 3))
     errors[: TICKS // 2, 0, 1], errors[TICKS // 2 :, 0, 2] = 0.3, 0.4
     figures = fly(config, errors)
-    assert figures["slot_error_rms"] == pytest.approx(sqrt((0.09 + 0.16) / 2 / 2))
-    assert figures["slot_error_steady"] == pytest.approx(sqrt(0.16 / 2))
-    assert figures["slot_error_max"] == pytest.approx(0.4)
+    assert figures["slot_error"] == pytest.approx(sqrt((0.09 + 0.16) / 2 / 2))
+    assert figures["slot_error_late"] == pytest.approx(sqrt(0.16 / 2))
     assert figures["settled"] == 0.0
     assert np.isnan(figures["settling_time"])
+
+
+def test_a_slot_error_counts_at_most_the_cap(config: FormationConfig) -> None:
+    """One follower lost at 7 m, the other exact: as if 1 m off; not a number counts as lost."""
+    errors = np.zeros((TICKS, 2, 3))
+    for far in (7.0, np.nan):
+        errors[:, 0, 0] = far
+        assert fly(config, errors)["slot_error"] == pytest.approx(CAP / sqrt(2.0))
 
 
 def test_settling_counts_from_the_trigger_to_the_last_time_outside(config: FormationConfig) -> None:
@@ -119,23 +141,6 @@ def test_settled_needs_a_second_inside(config: FormationConfig, last: int, settl
     errors = np.zeros((TICKS, 2, 3))
     errors[:last, 0, 0] = 2 * SETTLED
     assert fly(config, errors)["settled"] == settled
-
-
-def test_what_was_before_the_trigger_does_not_count(config: FormationConfig) -> None:
-    errors, rewards = np.zeros((TICKS, 2, 3)), np.full(TICKS, 0.5)
-    errors[:99, :, 0], rewards[:99] = 3.0, 0.1
-    figures = fly(config, errors, rewards=rewards, trigger=100)
-    assert figures["slot_error_max"] == figures["slot_error_rms"] == 0.0
-    assert figures["reward_since_trigger"] == pytest.approx(0.5)
-    assert figures["return"] == pytest.approx((99 * 0.1 + 101 * 0.5) / TICKS)
-
-
-def test_never_triggered_counts_the_whole_episode(config: FormationConfig) -> None:
-    figures = fly(config, (2.0, 0.0, 0.0), trigger=TICKS + 1)
-    assert figures["slot_error_rms"] == figures["slot_error_max"] == pytest.approx(2.0)
-    assert figures["settled"] == 0.0
-    assert np.isnan(figures["trigger_time"])
-    assert np.isnan(figures["reward_since_trigger"])
 
 
 def test_distances(config: FormationConfig) -> None:
@@ -168,62 +173,100 @@ def test_smoothness_is_of_the_change(config: FormationConfig) -> None:
 
 
 def test_failure_stops_the_clock_and_misses_the_rest(config: FormationConfig) -> None:
+    """Exact for 49 ticks, a collision on the 50th, which counts as those that are missing."""
     figures = fly(config, 0.0, ticks=50, failed=COLLISION)
     assert KINDS[int(figures["failure"])] == "collision"
     assert figures["failed"] == 1.0 and figures["settled"] == 0.0
     assert figures["return"] == pytest.approx(50 / TICKS)
-    assert np.isnan(figures["slot_error_steady"])
+    assert figures["score"] == pytest.approx(49 / TICKS)
+    assert figures["slot_error"] == pytest.approx(sqrt(CAP**2 * (TICKS - 49) / TICKS))
+    assert figures["slot_error_late"] == CAP
     assert np.isnan(figures["leader_deviation"])
 
 
 def test_a_crash_of_the_leader_is_nobody_elses(config: FormationConfig) -> None:
     figures = fly(config, 0.0, ticks=50, leader_only=True)
     assert KINDS[int(figures["failure"])] == "leader"
+    assert figures["score"] == pytest.approx(49 / TICKS)
 
 
-# -- intervals ------------------------------------------------------------------------------------
+# -- the window -----------------------------------------------------------------------------------
 
 
-def test_interval_of_a_mean_is_the_normal_one() -> None:
-    """For many samples the bootstrap interval of a mean is mean -+ 1.96 s / sqrt(n)."""
-    x = np.random.default_rng(1).normal(3.0, 2.0, 400)
-    e = estimate(mean, x)
-    half = 1.96 * x.std() / sqrt(len(x))
-    assert e.value == pytest.approx(x.mean())
-    assert e.low == pytest.approx(x.mean() - half, abs=0.1 * half)
-    assert e.high == pytest.approx(x.mean() + half, abs=0.1 * half)
+def test_the_window_is_the_episode_or_what_the_deadline_leaves() -> None:
+    assert window_ticks(configure("nominal")) == configure("nominal").max_steps
+    assert deadline(configure("nominal")) == 0.0
+    period = GROUND.control_period
+    assert window_ticks(GROUND) * period == pytest.approx(WINDOW)
+    assert deadline(GROUND) + WINDOW <= GROUND.duration
+    # Never more than what remains after the deadline, but half of a short episode.
+    assert window_ticks(configure("paper", duration=32.0)) * period == pytest.approx(17.0)
+    assert window_ticks(configure("paper", duration=8.0)) * period == pytest.approx(4.0)
 
 
-def test_samples_are_resampled_together() -> None:
-    """Returns that differ by a constant, seed by seed, have a score without uncertainty.
-
-    With the expert one above hover and the policy half way between, every paired resample gives 1/2;
-    were the three resampled apart, the interval would be wider than one.
-    """
-    hover = np.random.default_rng(2).normal(0.0, 10.0, 50)
-    e = estimate(normalised, hover + 0.5, hover, hover + 1.0)
-    assert (e.low, e.value, e.high) == pytest.approx((0.5, 0.5, 0.5))
-
-
-@pytest.mark.filterwarnings("error")
-def test_samples_without_spread_and_without_values() -> None:
-    assert estimate(mean, np.full(5, 2.0)) == Estimate(2.0, 2.0, 2.0, 5)
-    assert estimate(mean, np.array([4.0])) == Estimate(4.0, 4.0, 4.0, 1)
-    empty = estimate(mean, np.full(5, np.nan))
-    assert empty.episodes == 0 and np.isnan(empty.value)
+def test_the_window_begins_with_the_tick_after_the_trigger() -> None:
+    """Before it, on its own tick and after the window anything may happen: nothing of it is scored."""
+    window, trigger = window_ticks(GROUND), 400
+    errors, rewards = np.full((GROUND.max_steps, 2, 3), 3.0), np.full(GROUND.max_steps, 0.125)
+    inside = slice(trigger, trigger + window)
+    errors[inside], rewards[inside] = 0.0, 0.75
+    figures = fly(GROUND, errors, rewards=rewards, trigger=trigger)
+    assert figures["score"] == 0.75
+    assert figures["slot_error"] == figures["slot_error_late"] == 0.0
+    assert figures["trigger_time"] == pytest.approx(trigger * GROUND.control_period)
 
 
-def test_episodes_without_a_value_are_left_out() -> None:
-    e = estimate(mean, np.array([np.nan, 1.0, 3.0, np.nan]))
-    assert (e.value, e.episodes) == (2.0, 2)
-    assert 1.0 <= e.low < e.high <= 3.0
+def test_rewards_count_between_0_and_1(config: FormationConfig) -> None:
+    rewards = np.where(np.arange(TICKS) % 2 == 0, -3.0, 5.0)
+    assert fly(config, 0.0, rewards=rewards)["score"] == pytest.approx(0.5)
 
 
-def test_settling_time_is_a_median() -> None:
-    columns = {name: np.array([1.0, 2.0, 30.0]) for name in EPISODE}
-    summary = summarise(columns)
-    assert summary["settling_time"].value == 2.0
-    assert summary["slot_error_rms"].value == 11.0
+def test_never_started_is_the_worst_and_has_figures() -> None:
+    figures = fly(GROUND, 0.0, trigger=GROUND.max_steps + 1)
+    assert figures["score"] == 0.0
+    assert figures["slot_error"] == figures["slot_error_late"] == CAP
+    assert figures["trigger_time"] == deadline(GROUND)
+    assert figures["settled"] == 0.0
+    assert np.isfinite([figures[name] for name in ("score", "slot_error", "trigger_time")]).all()
+
+
+def test_a_crash_10_s_after_the_trigger_scores_at_most_10_of_25() -> None:
+    """It scored 0.916 where the mean was over the ticks flown."""
+    after = round(10.0 / GROUND.control_period)
+    figures = fly(GROUND, 0.0, trigger=300, ticks=300 + after, failed=COLLISION)
+    assert 0.39 < figures["score"] <= 10.0 / WINDOW
+    assert figures["slot_error_late"] == CAP
+
+
+@given(st.integers(1, TICKS - 1), st.floats(0.0, 1.0), st.integers(0, 2**32))
+def test_ending_early_never_scores_more(cut: int, level: float, seed: int) -> None:
+    """Whatever is earned until then, and whatever would have been later."""
+    config = configure("nominal", duration=TICKS * 0.02)
+    rewards = np.random.default_rng(seed).normal(level, 0.3, TICKS)
+    on, off = (
+        fly(config, 0.01, rewards=rewards, ticks=ticks, failed=failed)
+        for ticks, failed in ((TICKS, 0), (cut, COLLISION))
+    )
+    assert off["score"] <= on["score"]
+    assert off["slot_error"] >= on["slot_error"]
+
+
+@pytest.mark.parametrize("delay", [1, 300, 749])
+def test_starting_later_never_scores_more(delay: int) -> None:
+    """The same flight, begun later: the window moves with it, and the return misses the rest."""
+    flight = 0.5 + 0.5 * np.random.default_rng(0).random(GROUND.max_steps)
+    soon, late = (
+        fly(
+            GROUND,
+            0.0,
+            rewards=np.concatenate([np.zeros(k), flight])[: GROUND.max_steps],
+            trigger=k,
+        )
+        for k in (1, delay + 1)
+    )
+    assert late["score"] == pytest.approx(soon["score"], abs=1e-12)
+    assert late["return"] < soon["return"]
+    assert late["trigger_time"] > soon["trigger_time"]
 
 
 def test_a_crash_of_the_leader_is_a_failure_of_its_own_kind() -> None:
@@ -236,3 +279,50 @@ def test_a_crash_of_the_leader_is_a_failure_of_its_own_kind() -> None:
     assert [KINDS[int(k)] for k in columns["failure"]] == ["leader"] * 3
     assert (columns["failed"] == 1.0).all()
     assert len(set(KINDS)) == len(KINDS)
+
+
+# -- hostile flights ------------------------------------------------------------------------------
+
+
+class Hostile:
+    """The expert, but from some time after the trigger without thrust, or beside its slot."""
+
+    def __init__(
+        self, config: FormationConfig, cut: float = np.inf, aside: tuple[float, ...] = (0, 0, 0)
+    ) -> None:
+        self.config, self._expert = config, make_policy("expert", config)
+        self._cut, self._aside = cut, np.array(aside)
+        self._slices = config.layout.slices
+
+    def reset(self, seed: int | None = None, worlds: int = 1) -> None:
+        self._expert.reset(seed=seed, worlds=worlds)
+        self._since = np.zeros(worlds)
+
+    def act(self, rows: Any) -> Any:
+        moved = rows.copy()
+        moved[..., self._slices["slot_error"]] += self._aside
+        actions = self._expert.act(moved)
+        self._since += self.config.control_period * rows[:, 0, self._slices["started"].start]
+        actions[self._since > self._cut] = (-1.0, 0.0, 0.0, 0.0)
+        return actions
+
+
+@pytest.mark.parametrize("scenario", ["nominal", "paper"])
+def test_hostile_flights_score_less_than_flying_on(scenario: str) -> None:
+    """On every seed, and all figures beside the score say so too."""
+    config = configure(scenario)
+    honest = fly_policy(Hostile(config), range(6))  # type: ignore[arg-type]
+    window = window_ticks(config) * config.control_period
+    for hostile in (
+        Hostile(config, cut=10.0),
+        Hostile(config, aside=(0.1, 0.0, 0.0)),
+        Hostile(config, aside=(0.0, 0.0, 0.35)),
+    ):
+        columns = fly_policy(hostile, range(6))  # type: ignore[arg-type]
+        assert (columns["score"] < honest["score"]).all()
+        assert (columns["slot_error"] > honest["slot_error"]).all()
+        assert (columns["slot_error_late"] > honest["slot_error_late"]).all()
+        if hostile._cut < np.inf:
+            assert (columns["failed"] == 1.0).all()
+            # A second of falling, at most, still counts.
+            assert (columns["score"] < 11.0 / window).all()

@@ -13,11 +13,11 @@ class LogRow(NamedTuple):
 
     steps: int  # agent steps until then
     minutes: float  # of wall time until then, evaluations included
-    score: float  # 0 is hover's mean return, 1 the expert's
+    score: float  # mean reward in the scored window, 0 to 1
     low: float  # lower end of the score's 95 % interval
     high: float  # upper end
     mean_return: float
-    slot_error_rms: float  # m
+    slot_error: float  # m, in that window
     failed: float  # part of the episodes, 0 to 1
     seed: int  # of the run
 
@@ -34,19 +34,19 @@ class RunRecord(NamedTuple):
 def log_row(steps: int, minutes: float, score: Estimate, columns: Episodes, seed: int) -> LogRow:
     """The row of an evaluation, from its score and the metrics of its episodes."""
     value, low, high = (float(x) for x in (score.value, score.low, score.high))
-    names = ("return", "slot_error_rms", "failed")
+    names = ("return", "slot_error", "failed")
     mean_return, error, failed = (float(columns[name].mean()) for name in names)
     return LogRow(steps, minutes, value, low, high, mean_return, error, failed, seed)
 
 
-HEADER = "steps,minutes,score,low,high,return,slot_error_rms,failed,seed\n"
+HEADER = "steps,minutes,score,low,high,return,slot_error,failed,seed\n"
 
 
 def to_csv(rows: tuple[LogRow, ...] | list[LogRow]) -> str:
     """The text of `log.csv`."""
     return HEADER + "".join(
         f"{r.steps},{r.minutes:.3f},{r.score:.5f},{r.low:.5f},{r.high:.5f},"
-        f"{r.mean_return:.5f},{r.slot_error_rms:.5f},{r.failed:.4f},{r.seed}\n"
+        f"{r.mean_return:.5f},{r.slot_error:.5f},{r.failed:.4f},{r.seed}\n"
         for r in rows
     )
 

@@ -1,49 +1,166 @@
-"""The leaderboard: LEADERBOARD.md, and the extract of it in the README, between two markers."""
+"""The leaderboard: LEADERBOARD.md, its pages in docs/board, and the README's extract, between two markers.
+
+The first is one table and a few sentences, `LARGEST` bytes at most. Everything else that was measured stands
+in the pages: one for each scenario, the files that flew, statistics over scenarios with a picture, and
+`results.json`.
+"""
 
 from __future__ import annotations
 
+import importlib.util
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import formation_env
-from baselines.reporting import report
-from baselines.scoring.results import Report
+from baselines.reporting import profile, report, statistics
+from baselines.reporting.cells import markdown_table, rounded
+from baselines.reporting.findings import SEEDS, agreed_best, findings
+from baselines.scoring.results import Report, Scenario
+from baselines.scoring.suite import Matrix, matrix
 from baselines.system.reading import read_text
 from baselines.system.writing import write_text
 
 NAME, README = "LEADERBOARD.md", "README.md"
+PAGES = Path("docs/board")
+PICTURE, JSON = "profile.png", "results.json"
+FILES, STATISTICS, FIGURES = "files.md", "statistics.md", "figures.md"
 BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"
+LARGEST = 8000  # bytes of LEADERBOARD.md
 
-# What is known to be wrong with the scores, in three sentences; to be dropped with the flaws.
-FLAWS = (
-    "These scores have known flaws. The return pays for reaching the formation sooner, so on scenarios that "
-    "start on the floor a faster climb can outweigh better formation keeping, and every scenario but "
-    "`agile` flies one path in one direction, which a policy can learn by heart. `pd` is a weak baseline "
-    "with untuned gains, and a cell in italics is of a policy that was trained on another scenario."
-)
 LEGEND = (
-    "*Italics*: the policy was trained on another scenario; `-`: it does not fly this one; NAME:LEVEL: "
-    "the scenario at another action level."
+    "Behind a learned score: what it was trained for, `own` the scenario itself. *Italics*: transfer, "
+    "trained for another one. `-`: does not fly it. NAME:LEVEL: at another action level than the scenario's. "
+    f"**Bold**: every training run, {SEEDS} or more of a learned policy, scores above every run of all "
+    "others (95 %, paired)."
+)
+ADD = (
+    "1. A controller: `formation-evaluate --policies expert,ff,mine.py:MyPolicy` scores it beside others.\n"
+    f"2. A learned one: train {SEEDS} seeds; `formation-evaluate --runs runs` scores them, "
+    "`python -m train.cards --ship RUN ...` checks the median in.\n"
+    "3. `python -m baselines.evaluate --leaderboard`, with `--runs`, writes this page and docs/board: "
+    "propose both."
 )
 
+Cell = Callable[[Scenario, str], str]
 
-def leaderboard(result: Report, command: str) -> str:
-    """The text of LEADERBOARD.md."""
+
+# -- the short page -------------------------------------------------------------------------------
+
+
+def leaderboard(result: Report, command: str, figures: Matrix) -> str:
+    """The text of LEADERBOARD.md: where it would be too long without intervals in the table, and if need be
+    without the failures, which the pages have too."""
+    best = {id(s): agreed_best(s) for s in result.scenarios.values() if s.results}
+
+    def cell(number: Cell) -> Cell:
+        def text(scenario: Scenario, policy: str) -> str:
+            found = number(scenario, policy)
+            found = f"**{found}**" if best[id(scenario)] == policy else found
+            source = scenario.sources.get(policy)
+            if source is None:
+                return found
+            return f"{found} {source.scenario if source.differs else 'own'}"
+
+        return text
+
+    said = findings(result, figures)
+    page = partial(_page, result, command, said)
+    text = ""
+    for number, failures in ((_with_interval, True), (_alone, True), (_alone, False)):
+        text = page(cell(number), _failures(result) if failures else "")
+        if len(text.encode()) <= LARGEST:
+            break
+    return text
+
+
+def _with_interval(scenario: Scenario, policy: str) -> str:
+    return rounded(scenario.results[policy].score)
+
+
+def _alone(scenario: Scenario, policy: str) -> str:
+    return f"{scenario.results[policy].score.value:.3f}"
+
+
+def _page(result: Report, command: str, said: list[str], cell: Cell, failures: str) -> str:
     layout = next(iter(result.scenarios.values())).config.layout.version
     last = result.seed + result.episodes - 1
-    return (
-        "# Leaderboard\n\n"
-        "Written by the command below; do not edit.\n\n"
-        f"```bash\n{command}\n```\n\n"
-        f"`Formation-v0`, observation layout {layout}, package {formation_env.__version__}. "
-        f"{result.episodes} episodes for each scenario and policy, seeds {result.seed} to {last}, the same "
-        f"for every policy.\n\n{FLAWS}\n\n{report.markdown(result, LEGEND)}"
-    )
+    return "\n\n".join(
+        [
+            "# Leaderboard",
+            f"Written by `{command}`; do not edit. `Formation-v0`, observation layout {layout}, package "
+            f"{formation_env.__version__}; seeds {result.seed} to {last} of each scenario, the same for "
+            f"every policy. {report.SCORE} Of several training runs the median is shown; ± 95 % over "
+            "runs and episodes.",
+            report.grid(result, cell),
+            LEGEND,
+            *(["Episodes that failed, % (none where empty):", failures] if failures else []),
+            "## What it says",
+            *said,
+            "## How to add a row",
+            ADD,
+            f"More: {_links(result)}.",
+        ]
+    ) + "\n"  # fmt: skip
+
+
+def _failures(result: Report) -> str:
+    """Failed episodes in %, where there are any; empty without one."""
+
+    def cell(scenario: Scenario, policy: str) -> str:
+        known = scenario.results.get(policy)
+        failed = known.summary["failed"].value if known else 0.0
+        return f"{100.0 * failed:.{0 if failed >= 0.01 else 1}f}" if failed else ""
+
+    rows = {p: [cell(s, p) for s in result.scenarios.values()] for p in result.policies}
+    shown = [[f"`{policy}`", *cells] for policy, cells in rows.items() if any(cells)]
+    return markdown_table(["policy", *result.scenarios], shown) if shown else ""
+
+
+def _links(result: Report) -> str:
+    pages = {name: page_name(name) for name in result.scenarios}
+    pages |= {"statistics": STATISTICS, "policy files": FILES, "meanings": FIGURES, "all": JSON}
+    return ", ".join(f"[{name}]({PAGES.as_posix()}/{file})" for name, file in pages.items())
+
+
+# -- the other pages ------------------------------------------------------------------------------
+
+
+def page_name(scenario: str) -> str:
+    """The file name of a scenario's page."""
+    return f"{''.join(c if c.isalnum() else '-' for c in scenario)}.md"
+
+
+def pages(result: Report, figures: Matrix) -> dict[str, str]:
+    """The texts of the pages by file name."""
+    back = f"[Leaderboard](../../{NAME})"
+    meanings = f"[what the figures mean]({FIGURES})"
+    files = report.files_table(result) or "No policy file has flown."
+    absent = report.absences(result)
+    return {
+        **{
+            page_name(name): _joined([f"# {name}", f"{back}, {meanings}", *report.details(each)])
+            for name, each in result.scenarios.items()
+        },
+        FILES: _joined(["# Policy files", back, files, *absent]),
+        FIGURES: _joined(["# Figures", back, report.SCORE, report.meanings()]),
+        STATISTICS: _joined(
+            ["# Statistics over scenarios", back, *statistics.parts(result, figures, PICTURE)]
+        ),
+    }
+
+
+def _joined(parts: list[str]) -> str:
+    return "\n\n".join(parts) + "\n"
+
+
+# -- the README -----------------------------------------------------------------------------------
 
 
 def extract(result: Report) -> str:
     """The scores without intervals, for the README."""
-    grid = report.grid(result, lambda score: f"{score.value:.2f}")
-    return f"{FLAWS}\n\n{grid}\n\n{LEGEND}"
+    grid = report.grid(result, lambda s, policy: f"{s.results[policy].score.value:.2f}")
+    return f"{grid}\n\n*Italics*: trained for another scenario; `-`: does not fly this one."
 
 
 def with_extract(readme: str, text: str) -> str:
@@ -59,7 +176,9 @@ def with_extract(readme: str, text: str) -> str:
 
 
 def check(checkout: Path) -> None:
-    """Make sure that the README can take the extract. Raises `ValueError` naming it."""
+    """Make sure that all can be written. Raises `ValueError` naming what is missing."""
+    if importlib.util.find_spec("matplotlib") is None:
+        raise ValueError('matplotlib is not installed: pip install "formation-env[plot]"')
     path = checkout / README
     text = read_text(path)
     try:
@@ -69,8 +188,21 @@ def check(checkout: Path) -> None:
 
 
 def write(result: Report, checkout: Path, command: str) -> list[Path]:
-    """Write both files; returns their paths. Raises `OSError`, `ValueError`."""
-    board, readme = checkout / NAME, checkout / README
-    write_text(board, leaderboard(result, command))
-    write_text(readme, with_extract(read_text(readme), extract(result)))
-    return [board, readme]
+    """Write all of it; returns the paths. Pages of scenarios that are no longer flown are removed.
+
+    Raises `OSError`, `ValueError`.
+    """
+    figures, folder = matrix(result), checkout / PAGES
+    texts = {
+        checkout / NAME: leaderboard(result, command, figures),
+        checkout / README: with_extract(read_text(checkout / README), extract(result)),
+        folder / JSON: report.to_json(result, command),
+        **{folder / name: text for name, text in pages(result, figures).items()},
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    profile.draw(figures, folder / PICTURE)
+    for path, text in texts.items():
+        write_text(path, text)
+    for path in set(folder.glob("*.md")) - set(texts):
+        path.unlink()
+    return [*texts, folder / PICTURE]

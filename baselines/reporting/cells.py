@@ -1,7 +1,8 @@
-"""One figure of the results as text."""
+"""One figure of the results as text, and tables of such."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from math import isfinite
 
 from baselines.scoring.intervals import Estimate
@@ -16,13 +17,19 @@ def figure(name: str, x: float) -> str:
         return f"{100.0 * x:.0f} %"
     if EPISODE[name].unit == "s":
         return f"{x:.2f}"
-    return f"{x:.3f}" if x == 0.0 or x >= 0.001 else f"{x:.1e}"
+    return f"{x:.3f}" if x == 0.0 or abs(x) >= 0.001 else f"{x:.1e}"
 
 
 def scored(s: Estimate) -> str:
     """A score with its interval."""
     exact = s.low == s.high
     return f"{s.value:.3f}" if exact else f"{s.value:.3f} ({s.low:.3f} .. {s.high:.3f})"
+
+
+def rounded(s: Estimate) -> str:
+    """A score with the longer half of its interval."""
+    half = max(s.high - s.value, s.value - s.low)
+    return f"{s.value:.3f}" if half < 0.0005 else f"{s.value:.3f} ±{f'{half:.3f}'.lstrip('0')}"
 
 
 def interval(name: str, e: Estimate) -> str:
@@ -38,3 +45,16 @@ def signed(e: Estimate) -> str:
     if e.value == e.low == e.high == 0.0:
         return "0"
     return f"{e.value:+.3f} ({e.low:+.3f} .. {e.high:+.3f})"
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names as code, separated by commas."""
+    return ", ".join(f"`{name}`" for name in names)
+
+
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
+    """A table in Markdown; its first `left` columns are aligned left, the others right."""
+    rules = ["---" if i < left else "---:" for i in range(len(head))]
+    # A `|` would end the cell.
+    lines = [[cell.replace("|", "\\|") for cell in row] for row in (head, rules, *rows)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

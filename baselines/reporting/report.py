@@ -2,27 +2,26 @@
 
 The JSON document, `results.json` (no NaN: a figure that no episode has is null):
 
-    {"schema": 1, "environment": "Formation-v0", "package": version, "layout": observation layout version,
+    {"schema": 2, "environment": "Formation-v0", "package": version, "layout": observation layout version,
      "command": that repeats it or null, "seed": first seed,
      "episodes": number per scenario (seeds seed ... seed + episodes - 1),
      "interval": {"level", "method", "resamples"},
      "metrics": {name: {"unit", "better", "meaning"}},
      "scenarios": {name: {
-         "action": level, "followers": n, "duration": s,
+         "action": level, "followers": n, "duration": s, "window": s that are scored,
          "policies": {name: {
-             "score": estimate, "metrics": {name: estimate},
-             "difference_to_expert": {"return": estimate, "slot_error_rms": estimate},
-             "failures": {kind: episodes}}},
-         "expert_measuring": null or {name: estimate},
+             "metrics": {name: estimate},
+             "differences": {policy: {"score": estimate, "slot_error": estimate}},
+             "failures": {kind: episodes of the median run},
+             "runs": {name: its mean score}, "median": name of the median run}},
          "files": {policy: {"file": name, "method": word, "scenario": trained on, "action": level,
                            "differs": whether it flies another task than it was trained for}},
          "absent": {policy: why it does not fly here}}}}
 
-with `estimate = {"value", "low", "high", "episodes"}`: the mean over so many episodes (of `settling_time`
-the median) and its 95 % interval. `difference_to_expert` is the mean of policy minus expert on equal seeds.
-`difference_to_tuned`, the same to `expert-tuned`, is there if that has flown.
-`expert_measuring` is the expert where velocities and accelerations are measured instead of differenced
-from positions; it is flown only where that may explain why another policy scores above the expert.
+with `estimate = [value, low, high, episodes]`: the mean over so many episodes (of `settling_time` the median)
+and its 95 % interval; of several training runs the median run's, with an interval over runs and episodes.
+`differences` are means of policy minus another one on equal seeds, to those of `results.REFERENCES` that fly.
+Numbers have six digits.
 """
 
 from __future__ import annotations
@@ -33,14 +32,16 @@ from math import isfinite
 from typing import Any
 
 import formation_env
-from baselines.reporting.cells import interval, scored, signed
-from baselines.reporting.explanations import explanations
+from baselines.reporting.cells import figure, interval, listed, markdown_table, scored, signed
 from baselines.scoring.intervals import LEVEL, RESAMPLES, Estimate
-from baselines.scoring.metrics import EPISODE
-from baselines.scoring.results import COMPARED, Report, Result, Scenario, Source
+from baselines.scoring.metrics import EPISODE, window_ticks
+from baselines.scoring.results import Report, Result, Scenario, Source
 from formation_env import FormationConfig
 
-SCORE = "normalised score: mean return, 0 as hover's and 1 as the expert's on the same seeds"
+SCORE = (
+    "The score is the mean of the followers' reward over a window of fixed length that begins when the "
+    "formation starts; what is missing of it, crashed or never started, counts zero: 0 to 1, 1 is exact."
+)
 
 # -- JSON -----------------------------------------------------------------------------------------
 
@@ -48,7 +49,7 @@ SCORE = "normalised score: mean return, 0 as hover's and 1 as the expert's on th
 def to_json(report: Report, command: str | None = None) -> str:
     """The document described above."""
     document = {
-        "schema": 1,
+        "schema": 2,
         "environment": "Formation-v0",
         "package": formation_env.__version__,
         "layout": next(iter(report.scenarios.values())).config.layout.version,
@@ -63,7 +64,15 @@ def to_json(report: Report, command: str | None = None) -> str:
         "metrics": {name: metric._asdict() for name, metric in EPISODE.items()},
         "scenarios": {name: _scenario(each) for name, each in report.scenarios.items()},
     }
-    return json.dumps(document, indent=1, allow_nan=False) + "\n"
+    return _lines(document, 4) + "\n"
+
+
+def _lines(value: Any, depth: int) -> str:
+    """JSON with a line for each entry of objects down to a depth."""
+    if depth == 0 or not isinstance(value, dict) or not value:
+        return json.dumps(value, allow_nan=False)
+    each = (f"{json.dumps(key)}: {_lines(x, depth - 1)}" for key, x in value.items())
+    return "{\n" + ",\n".join(each) + "\n}"
 
 
 def _scenario(scenario: Scenario) -> dict[str, Any]:
@@ -72,8 +81,8 @@ def _scenario(scenario: Scenario) -> dict[str, Any]:
         "action": config.action,
         "followers": config.followers,
         "duration": config.duration,
+        "window": _digits(window_ticks(config) * config.control_period),
         "policies": {name: _result(result) for name, result in scenario.results.items()},
-        "expert_measuring": _estimates(scenario.measuring) if scenario.measuring else None,
         "files": {name: source._asdict() for name, source in scenario.sources.items()},
         "absent": scenario.absent,
     }
@@ -81,114 +90,162 @@ def _scenario(scenario: Scenario) -> dict[str, Any]:
 
 def _result(result: Result) -> dict[str, Any]:
     return {
-        "score": _estimate(result.score),
         "metrics": _estimates(result.summary),
-        "difference_to_expert": _estimates(result.differences),
+        "differences": {name: _estimates(each) for name, each in result.differences.items()},
         "failures": result.failures,
-        **({"difference_to_tuned": _estimates(result.to_tuned)} if result.to_tuned else {}),
+        "runs": {name: _digits(score) for name, score in result.scores.items()},
+        "median": result.median,
     }
 
 
 def _estimates(each: dict[str, Estimate]) -> dict[str, Any]:
-    return {name: _estimate(e) for name, e in each.items()}
+    return {name: [_digits(x) for x in e[:3]] + [e.episodes] for name, e in each.items()}
 
 
-def _estimate(e: Estimate) -> dict[str, float | int | None]:
-    return {k: x if isfinite(x) else None for k, x in e._asdict().items()}
+def _digits(x: float) -> float | None:
+    return float(f"{x:.6g}") if isfinite(x) else None
 
 
 # -- Markdown -------------------------------------------------------------------------------------
 
 
-def grid(report: Report, cell: Callable[[Estimate], str]) -> str:
+def grid(report: Report, cell: Callable[[Scenario, str], str]) -> str:
     """A row for each policy, a column for each scenario; in italics what was trained for another task."""
+
+    def text(scenario: Scenario, policy: str) -> str:
+        if policy not in scenario.results:
+            return "-"
+        found = cell(scenario, policy)
+        return f"*{found}*" if scenario.untrained(policy) else found
+
     rows = [
-        ["policy", *(f"`{name}`" for name in report.scenarios)],
-        ["---", *("---:" for _ in report.scenarios)],
+        [f"`{policy}`", *(text(scenario, policy) for scenario in report.scenarios.values())]
+        for policy in report.policies
     ]
-    for policy in report.policies:
-        row = [f"`{policy}`"]
-        for scenario in report.scenarios.values():
-            result = scenario.results.get(policy)
-            text = cell(result.score) if result else "-"
-            row.append(f"*{text}*" if scenario.untrained(policy) else text)
-        rows.append(row)
-    return _markdown(rows)
+    return markdown_table(["policy", *(f"`{name}`" for name in report.scenarios)], rows)
 
 
-def markdown(report: Report, legend: str = "") -> str:
-    """Scores with intervals, remarks, files flown, and one table a scenario, every figure with its
-    interval."""
-    parts = ["## Scores", f"The {SCORE}.", grid(report, scored)]
-    parts += [legend] if legend else []
-    remarks = explanations(report)
-    if remarks:
-        parts += ["## Remarks", *remarks]
-    files = _files(report)
+def markdown(report: Report) -> str:
+    """Scores with intervals, files flown, what did not fly, and one part a scenario."""
+    parts = ["## Scores", SCORE, grid(report, lambda s, policy: scored(s.results[policy].score))]
+    parts += absences(report)
+    files = files_table(report)
     if files:
         parts += ["## Policy files", files]
     for name, scenario in report.scenarios.items():
-        parts += [f"## {name}", _conditions(scenario.config), _details(scenario)]
-    parts += ["## What the figures mean", _meanings()]
+        parts += [f"## {name}", *details(scenario)]
+    parts += ["## Figures", meanings()]
     return "\n\n".join(parts) + "\n"
 
 
-def _files(report: Report) -> str:
-    """Which file each policy that is one was flown from, or nothing."""
+def files_table(report: Report) -> str:
+    """Where policies come from that are files, and what each has flown; empty without any."""
     flights: dict[tuple[str, Source], list[str]] = {}
     for name, scenario in report.scenarios.items():
         for policy, source in scenario.sources.items():
             file = (policy, source._replace(differs=False))  # of one file, whatever it flies
-            flights.setdefault(file, []).append(f"`{name}`")
-    rows = [["policy", "file", "method", "trained on", "at level", "flown on"], ["---"] * 6]
-    for (policy, source), names in flights.items():
-        known = [
-            f"`{x}`" for x in (policy, source.file, source.method, source.scenario, source.action)
+            flights.setdefault(file, []).append(name)
+    rows = [
+        [
+            *(f"`{x}`" for x in (policy, source.file, source.method)),
+            *(f"`{x}`" for x in (source.scenario, source.action)),
+            listed(names),
         ]
-        rows.append([*known, ", ".join(names)])
-    return _markdown(rows) if flights else ""
+        for (policy, source), names in flights.items()
+    ]
+    head = ["policy", "file", "method", "trained on", "at level", "flown on"]
+    return markdown_table(head, rows, len(head)) if flights else ""
+
+
+def absences(report: Report) -> list[str]:
+    """Where policies could not fly, and why: policies and scenarios that share a reason together."""
+    scenarios: dict[tuple[str, str], list[str]] = {}
+    for name, scenario in report.scenarios.items():
+        for policy, reason in scenario.absent.items():
+            scenarios.setdefault((policy, reason), []).append(name)
+    policies: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+    for (policy, reason), names in scenarios.items():
+        policies.setdefault((reason, tuple(names)), []).append(policy)
+    return [
+        f"Not flown on {listed(names)}: {listed(found)} ({reason})."
+        for (reason, names), found in policies.items()
+    ]
+
+
+def details(scenario: Scenario) -> list[str]:
+    """One scenario: conditions, differences, all metrics and the training runs, a row for each policy."""
+    parts = [_conditions(scenario.config), _telling(scenario), _metrics(scenario)]
+    runs = _training_runs(scenario)
+    return [*parts, runs] if runs else parts
 
 
 def _conditions(config: FormationConfig) -> str:
     number = "1 follower" if config.followers == 1 else f"{config.followers} followers"
-    return f"Action level `{config.action}`, {number}, {config.duration:g} s."
+    window = window_ticks(config) * config.control_period
+    return (
+        f"Action level `{config.action}`, {number}, {config.duration:g} s, of which {window:g} s are "
+        "scored."
+    )
 
 
-def _details(scenario: Scenario) -> str:
-    results = scenario.results
-    rows = [["", *(f"`{p}`" for p in results)], ["---", *("---:" for _ in results)]]
-    rows.append(["score", *(scored(r.score) for r in results.values())])
-    for name, metric in EPISODE.items():
-        unit = "" if metric.unit == "1" else f", {metric.unit}"
-        cells = [interval(name, r.summary[name]) for r in results.values()]
-        rows.append([f"{name}{unit}", *cells])
-    for name in COMPARED:
-        cells = [signed(r.differences[name]) for r in results.values()]
-        rows.append([f"{name} minus expert's", *cells])
-    if all(r.to_tuned for r in results.values()):
-        for name in COMPARED:
-            cells = [signed(r.to_tuned[name]) for r in results.values()]
-            rows.append([f"{name} minus expert-tuned's", *cells])
-    rows.append(["failures", *(_failures(r.failures) for r in results.values())])
-    return _markdown(rows)
+_TELLING = ("score", "slot_error", "slot_error_late", "failed", "trigger_time")
+
+
+def _heading(name: str) -> str:
+    unit = EPISODE[name].unit
+    return name if unit == "1" else f"{name}, {unit}"
+
+
+def _telling(scenario: Scenario) -> str:
+    """The most telling metrics, kinds of failures, and the differences to other policies."""
+    others = next(iter(scenario.results.values())).differences if scenario.results else {}
+    head = ["policy", *map(_heading, _TELLING), "failures"]
+    head += [f"score minus `{name}`'s" for name in others]
+    rows = [
+        [
+            f"`{policy}`",
+            *(interval(name, r.summary[name]) for name in _TELLING),
+            _failures(r.failures),
+            *(signed(each["score"]) for each in r.differences.values()),
+        ]
+        for policy, r in scenario.results.items()
+    ]
+    return markdown_table(head, rows)
+
+
+def _metrics(scenario: Scenario) -> str:
+    names = [name for name in EPISODE if name not in _TELLING]
+    rows = [
+        [f"`{policy}`", *(figure(name, r.summary[name].value) for name in names)]
+        for policy, r in scenario.results.items()
+    ]
+    return markdown_table(["policy", *map(_heading, names)], rows)
+
+
+def _training_runs(scenario: Scenario) -> str:
+    """The scores of methods of several runs, the median in bold; empty without any."""
+    rows = []
+    for policy, result in scenario.results.items():
+        if len(result.runs) > 1:
+            each = (
+                f"**{name} {score:.3f}**" if name == result.median else f"{name} {score:.3f}"
+                for name, score in result.scores.items()
+            )
+            rows.append([f"`{policy}`", ", ".join(each)])
+    return markdown_table(["policy", "training runs, the median in bold"], rows, 2) if rows else ""
 
 
 def _failures(counts: dict[str, int]) -> str:
     return ", ".join(f"{n} {kind}" for kind, n in counts.items() if n) or "none"
 
 
-def _meanings() -> str:
-    rows = [["figure", "unit", "better", "meaning"], ["---"] * 4]
-    rows += [[f"`{name}`", m.unit, m.better, m.meaning] for name, m in EPISODE.items()]
-    lines = _markdown(rows)
+def meanings() -> str:
+    """What the metrics and their intervals are."""
+    rows = [[f"`{name}`", m.unit, m.better, m.meaning] for name, m in EPISODE.items()]
     note = (
         "Values are means over the episodes that have one (`settling_time`: the median), in brackets the "
         f"{100 * LEVEL:.0f} % percentile bootstrap interval ({RESAMPLES} resamples of "
-        "episodes). Differences are taken seed by seed."
+        "episodes). Of several training runs they are the median of the runs' values, with an interval over "
+        "runs and episodes. Differences are taken seed by seed."
     )
-    return f"{lines}\n\n{note}"
-
-
-def _markdown(rows: list[list[str]]) -> str:
-    # A `|` would end the cell.
-    return "\n".join("| " + " | ".join(x.replace("|", "\\|") for x in row) + " |" for row in rows)
+    return f"{markdown_table(['figure', 'unit', 'better', 'meaning'], rows, 4)}\n\n{note}"

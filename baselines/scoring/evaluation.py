@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,17 +12,14 @@ from baselines.own import PolicyError
 from baselines.policies.base import Policy
 from baselines.policies.learned import Misfit
 from baselines.policies.transfer import differences, transfer_unwarned
-from baselines.registry import POLICIES, Recipe, Unshipped, make_policy, recipe
-from baselines.scoring.intervals import Estimate, summarise
-from baselines.scoring.results import Report, Scenario, Source, above_expert, judge
+from baselines.registry import POLICIES, Recipe, Unshipped
+from baselines.scoring.results import REFERENCES, Report, Scenario, Source, judge
 from baselines.scoring.rollout import Episodes, chunks, fly
+from baselines.scoring.runs import make_row, rows_of, run_names
 from baselines.system.progress import Bar, compiling
-from formation_env import FeasibilityWarning, FormationConfig
+from formation_env import FormationConfig
 
 EPISODES = 100
-# The policies that the score is normalised with.
-ANCHORS = ("expert", "hover")
-TUNED = "expert-tuned"
 
 
 class Flight(NamedTuple):
@@ -41,10 +36,10 @@ Executor = Callable[[Sequence[Flight], Callable[[int], None]], list[Episodes]]
 
 
 class Flyable(NamedTuple):
-    """The policies of one scenario: how those that fit it are made, and why the others do not."""
+    """The rows of one scenario: how the runs of those that fit it are made, and why the others do not."""
 
-    recipes: dict[str, Recipe]
-    absent: dict[str, str]  # policies that cannot fly it, and why
+    recipes: dict[str, dict[str, Recipe]]
+    absent: dict[str, str]  # rows that cannot fly it, and why
 
 
 def find_flyable(
@@ -52,43 +47,36 @@ def find_flyable(
 ) -> dict[str, Flyable]:
     """How to make each policy on each configuration that it fits.
 
-    `policies` are names, or what `registry.recipe` takes by the name to call it. Raises `ValueError` for
-    an unknown policy, a bad file, and a policy that fits no configuration.
+    `policies` are names, or what `registry.recipe` takes (or what `runs` says of training runs) by the name
+    to call it. Raises `ValueError` for an unknown policy, a bad file, and a policy that fits no
+    configuration.
     """
     found = {name: Flyable({}, {}) for name in configs}
-    for policy, source in named(policies).items():
+    for row, source in named(policies).items():
         problems = []
         for name, config in configs.items():
             try:
-                found[name].recipes[policy] = recipe(source, config)
+                found[name].recipes[row] = make_row(row, source, config)
             except Misfit as problem:
                 short = "no file of this method is shipped for it"
                 problems.append(str(problem))
-                found[name].absent[policy] = (
-                    short if isinstance(problem, Unshipped) else str(problem)
-                )
-        if not any(policy in each.recipes for each in found.values()):
+                found[name].absent[row] = short if isinstance(problem, Unshipped) else str(problem)
+        if not any(row in each.recipes for each in found.values()):
             raise ValueError("; ".join(dict.fromkeys(problems)))
     return found
 
 
-def find_flyable_with_anchors(
-    configs: Mapping[str, FormationConfig], policies: Sequence[str] | Mapping[str, Any]
-) -> dict[str, Flyable]:
-    """`find_flyable` of the policies and of those that the score is normalised with."""
-    return find_flyable(configs, {**named(policies), **{name: name for name in ANCHORS}})
-
-
 def named(policies: Sequence[str] | Mapping[str, Any]) -> dict[str, Any]:
-    """Policies by name; those of a sequence are names themselves. Raises `ValueError` for another policy
-    under the name of one that the score is normalised with."""
+    """The rows of policies by name; those of a sequence are names themselves. Raises `ValueError` for another
+    policy under the name of one that others are compared with."""
     if not isinstance(policies, Mapping):
-        return {policy: policy for policy in policies}
-    for name in ANCHORS:
-        source = policies.get(name, name)
-        if source != name and source is not POLICIES[name]:
+        return rows_of({policy: policy for policy in policies})
+    rows = rows_of(policies)
+    for name in REFERENCES:
+        source = rows.get(name, name)
+        if source != name and source is not POLICIES.get(name):
             raise ValueError(f"policy {name!r}: this name is taken: give yours another one")
-    return dict(policies)
+    return rows
 
 
 def evaluate(
@@ -104,82 +92,68 @@ def evaluate(
     """Score `policies` on named configurations, seeds `seed` to `seed + episodes - 1` for each.
 
     A policy flies where it fits, by `executor` or else on so many threads of this process. `flyable` is
-    what `find_flyable_with_anchors` gave for these, if that has been called, and `warm` too if they fly
+    what `find_flyable` gave for these, if that has been called, and `warm` too if they fly
     here. Raises `ValueError` as `find_flyable` does, `PolicyError` where a user's own policy fails, and
     what the executor raises.
     """
     if flyable is None:
         with compiling(quiet):
-            flyable = find_flyable_with_anchors(configs, policies)
+            flyable = find_flyable(configs, policies)
             if executor is None:
                 warm(configs, flyable)
     jobs = [
-        (name, policy, seeds)
+        (name, row, run, seeds)
         for name, config in configs.items()
-        for policy in flyable[name].recipes
+        for row, run in run_names(flyable[name].recipes)
         for seeds in chunks(seed, episodes, config.followers)
     ]
-    flights = [Flight(configs[name], flyable[name].recipes[p], seeds) for name, p, seeds in jobs]
+    flights = [
+        Flight(configs[name], flyable[name].recipes[row][run], seeds)
+        for name, row, run, seeds in jobs
+    ]
     columns = _collect(jobs, _fly_all(flights, threads, quiet, executor))
-    scored = list(named(policies))
     scenarios = {
-        name: _scenario(config, flyable[name], scored, columns[name], range(seed, seed + episodes))
+        name: _scenario(config, flyable[name], columns.get(name, {}))
         for name, config in configs.items()
     }
     return Report(seed, episodes, scenarios)
 
 
 def _scenario(
-    config: FormationConfig,
-    flyable: Flyable,
-    scored: Sequence[str],
-    columns: Mapping[str, Episodes],
-    seeds: range,
+    config: FormationConfig, flyable: Flyable, columns: Mapping[str, dict[str, Episodes]]
 ) -> Scenario:
-    """The results of those of the policies `scored` that have flown, from the episodes of all."""
-    hover, expert = columns["hover"], columns["expert"]
-    results = {
-        policy: judge(columns[policy], hover, expert, columns.get(TUNED))
-        for policy in scored
-        if policy in flyable.recipes
+    """The results of all rows that have flown."""
+    references = {
+        name: next(iter(columns[name].values())) for name in REFERENCES if name in columns
     }
-    measuring = None
-    if config.estimator == "differenced" and above_expert(results):
-        measuring = _measuring(config, seeds)
-    span = float(expert["return"].mean() - hover["return"].mean())
-    return Scenario(config, results, span, measuring, _sources(flyable, config), flyable.absent)
+    results = {row: judge(columns[row], references) for row in flyable.recipes}
+    return Scenario(config, results, _sources(flyable, config), flyable.absent)
 
 
 def warm(configs: Mapping[str, FormationConfig], flyable: Mapping[str, Flyable]) -> None:
     """Use all kernels once, so that they are compiled before time is counted."""
     for name, each in flyable.items():
-        for made in each.recipes.values():
+        for row, run in run_names(each.recipes):
+            made = each.recipes[row][run]
             if not made.own:
                 with transfer_unwarned():
                     fly(made.make(configs[name]), range(1), most=2)
 
 
 def _sources(flyable: Flyable, config: FormationConfig) -> dict[str, Source]:
+    """Where the rows come from whose runs are policy files, by the row."""
+    first = {row: next(iter(runs.values())) for row, runs in flyable.recipes.items()}
     return {
-        policy: Source(
+        row: Source(
             made.file,
             made.card.method,
             made.card.scenario,
             made.card.action,
             bool(differences(made.card, config)),
         )
-        for policy, made in flyable.recipes.items()
+        for row, made in first.items()
         if made.card is not None
     }
-
-
-def _measuring(config: FormationConfig, seeds: range) -> dict[str, Estimate]:
-    """The expert where velocities and accelerations are measured, not differenced from positions."""
-    with warnings.catch_warnings():  # the configuration itself has warned already
-        warnings.simplefilter("ignore", FeasibilityWarning)
-        direct = replace(config, estimator="direct")
-    first = next(chunks(seeds.start, len(seeds), config.followers))
-    return summarise(fly(make_policy("expert", direct), first))
 
 
 def _fly_all(
@@ -228,16 +202,14 @@ def _fly(policy: Policy, flight: Flight, bar: Bar) -> Episodes:
 
 
 def _collect(
-    jobs: list[tuple[str, str, range]], parts: Iterable[Episodes]
-) -> dict[str, dict[str, Episodes]]:
-    """The groups of one scenario and policy put together again, in the order of their seeds."""
-    grouped: dict[str, dict[str, list[Episodes]]] = {}
-    for (name, policy, _), part in zip(jobs, parts, strict=True):
-        grouped.setdefault(name, {}).setdefault(policy, []).append(part)
-    return {
-        name: {
-            policy: {k: np.concatenate([x[k] for x in group]) for k in group[0]}
-            for policy, group in policies.items()
-        }
-        for name, policies in grouped.items()
-    }
+    jobs: list[tuple[str, str, str, range]], parts: Iterable[Episodes]
+) -> dict[str, dict[str, dict[str, Episodes]]]:
+    """By scenario, row and run: the groups put together again, in the order of their seeds."""
+    grouped: dict[tuple[str, str, str], list[Episodes]] = {}
+    for (name, row, run, _), part in zip(jobs, parts, strict=True):
+        grouped.setdefault((name, row, run), []).append(part)
+    found: dict[str, dict[str, dict[str, Episodes]]] = {}
+    for (name, row, run), group in grouped.items():
+        whole = {k: np.concatenate([x[k] for x in group]) for k in group[0]}
+        found.setdefault(name, {}).setdefault(row, {})[run] = whole
+    return found

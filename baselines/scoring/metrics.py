@@ -2,6 +2,10 @@
 
 A `Tally` gathers one episode per world tick by tick; `episodes` turns it into the columns of `EPISODE`.
 
+What is scored is a window of `window_ticks` ticks that begins with the tick after the trigger (40) has
+fired, in scenarios that begin after it with the first tick. Its length does not depend on what is flown: the
+ticks that an episode lacks, because it failed or never started, count as the worst.
+
 Slot error, separation and distances are those of the true positions, in 3-D.
 """
 
@@ -22,11 +26,30 @@ Floats = NDArray[np.float64]
 
 SLOT, ERROR = COLUMNS["slot"].start, COLUMNS["slot_error"].start
 
-SETTLED = 0.15  # m, slot error below which a follower counts as settled: half the reward's scale
+WINDOW = 25.0  # s, scored from the trigger where the episode starts on the ground
+CAP = 1.0  # m, at which a slot error counts at most, and that of a tick that is missing
+SETTLED = 0.15  # m, slot error below which a follower counts as settled: half the reward's reach
 HELD = 1.0  # s, for at least so long before the end
 
 KINDS = FAILURES  # the leader's own crash, which is no follower's, is one of them
 LEADER = KINDS.index("leader")
+
+
+def deadline(config: FormationConfig) -> float:
+    """Time after reset by which the trigger (40) has to fire, s; 0 where it has fired at reset."""
+    if config.start != "ground":
+        return 0.0
+    # TODO(integration): config.limits.deadline
+    return float(getattr(config.limits, "deadline", 15.0))
+
+
+def window_ticks(config: FormationConfig) -> int:
+    """The ticks that are scored: all where nobody waits for the trigger (40), else those of `WINDOW`, or of
+    what the episode holds after the deadline, but at least half of the episode."""
+    if config.start != "ground":
+        return config.max_steps
+    left = max(config.duration - deadline(config), 0.5 * config.duration)
+    return max(1, round(min(WINDOW, left) / config.control_period))
 
 
 class Metric(NamedTuple):
@@ -38,26 +61,30 @@ class Metric(NamedTuple):
 
 
 EPISODE = {
+    "score": Metric(
+        "1",
+        "higher",
+        "mean over the window's ticks of the followers' mean reward, clipped to 0 ... 1; a tick that is "
+        "missing, or on which the episode fails, counts 0",
+    ),
+    "slot_error": Metric(
+        "m",
+        "lower",
+        "root mean square slot error over followers and the window's ticks, each error at most "
+        f"{CAP:g} m; a tick that is missing, or on which the episode fails, counts {CAP:g} m",
+    ),
+    "slot_error_late": Metric("m", "lower", "the same over the second half of the window"),
+    "failed": Metric("1", "lower", "1 if the episode ended in a failure, else 0"),
+    "trigger_time": Metric(
+        "s",
+        "lower",
+        "when the trigger (40) fires after reset, the deadline where it does not; 0 in scenarios that "
+        "begin after it",
+    ),
     "return": Metric(
         "1",
         "higher",
         "sum of rewards over the episode's time limit in ticks; ticks after a failure count zero",
-    ),
-    "reward_since_trigger": Metric(
-        "1",
-        "higher",
-        "mean reward per tick flown since the trigger (40), if it fires",
-    ),
-    "slot_error_rms": Metric(
-        "m",
-        "lower",
-        "root mean square slot error over followers and ticks since the trigger (40), or over the "
-        "whole episode if it never fires",
-    ),
-    "slot_error_steady": Metric("m", "lower", "the same over the second half of the time limit"),
-    "slot_error_max": Metric("m", "lower", "largest slot error in the time of slot_error_rms"),
-    "trigger_time": Metric(
-        "s", "lower", "when the trigger (40) fires after reset; 0 in scenarios that begin after it"
     ),
     "settled": Metric(
         "1",
@@ -69,16 +96,16 @@ EPISODE = {
     "leader_deviation": Metric(
         "m",
         "lower",
-        "largest deviation of a leader-follower distance from |d|, second half of the time limit",
+        "largest deviation of a leader-follower distance from |d| in the window's second half, if it "
+        "is reached",
     ),
     "follower_deviation": Metric(
         "m",
         "lower",
-        "largest deviation of a follower-follower distance from that of their slots at the time, "
-        "second half of the time limit; needs two followers",
+        "largest deviation of a follower-follower distance from that of their slots at the time, in the "
+        "window's second half, if it is reached; needs two followers",
     ),
     "min_separation": Metric("m", "higher", "least distance between two vehicles, any time"),
-    "failed": Metric("1", "lower", "1 if the episode ended in a failure, else 0"),
     "effort": Metric("1", "lower", "mean squared action, over followers, entries and ticks flown"),
     "smoothness": Metric("1", "lower", "mean squared change of the action from tick to tick"),
 }
@@ -88,18 +115,15 @@ class Tally(NamedTuple):
     """What has been gathered, `(worlds,)` each."""
 
     reward_sum: Floats  # sum of rewards
-    reward_since_trigger: (
-        Floats  # sum of rewards since the trigger, or since the reset if it has not fired
-    )
     ticks: NDArray[np.int64]  # flown
     trigger_tick: NDArray[np.int64]  # tick at which the trigger fired, or -1
     last_unsettled: NDArray[np.int64]  # last tick since then with a follower not within SETTLED
     failure: NDArray[np.int64]  # index into KINDS
-    squared_errors: Floats  # m^2, sum over ticks of the followers' mean squared slot error
-    error_ticks: NDArray[np.int64]  # ticks in that sum
-    largest_error: Floats  # m
-    steady_squared_errors: Floats  # m^2, the same sum over the second half of the time limit
-    steady_ticks: NDArray[np.int64]  # ticks in that sum
+    score: Floats  # sum over the window's ticks of the clipped mean reward
+    squared_errors: Floats  # m^2, over them, of the followers' mean squared slot error below CAP
+    window_ticks: NDArray[np.int64]  # number of these ticks, without that of a failure
+    late_squared_errors: Floats  # m^2, the same sum over the window's second half
+    late_ticks: NDArray[np.int64]  # number of its ticks
     leader_deviation: Floats  # m, largest of a leader-follower distance from |d|
     follower_deviation: Floats  # m, largest of a follower-follower distance from that of the slots
     min_separation: Floats  # m, between two vehicles
@@ -107,12 +131,14 @@ class Tally(NamedTuple):
     squared_changes: Floats  # sum over ticks of the mean squared change from the tick before
 
 
-def begin(config: FormationConfig, started: NDArray[np.bool_]) -> Tally:
+_COUNTS = ("ticks", "last_unsettled", "failure", "window_ticks", "late_ticks")
+
+
+def begin(started: NDArray[np.bool_]) -> Tally:
     """An empty tally; `started` `(worlds,)` says in which worlds the trigger has fired at reset."""
     worlds = len(started)
     floats = {name: np.zeros(worlds) for name in Tally._fields}
-    counts = ("ticks", "last_unsettled", "failure", "error_ticks", "steady_ticks")
-    whole = {name: np.zeros(worlds, dtype=np.int64) for name in counts}
+    whole = {name: np.zeros(worlds, dtype=np.int64) for name in _COUNTS}
     trigger = np.where(started, 0, -1).astype(np.int64)
     return Tally(
         **{**floats, **whole, "trigger_tick": trigger, "min_separation": np.full(worlds, np.inf)}
@@ -128,24 +154,30 @@ def _at(x: Any, i: int) -> Vector:
 
 
 @device
-def _score_errors(t: Tally, w: int, tick: int, steady: bool, outputs: Any) -> None:
-    """Add the slot errors of one world."""
+def _score_window(t: Tally, w: int, late: bool, reward: float, outputs: Any) -> None:
+    """Add reward and slot errors of one of the window's ticks."""
     n = len(outputs)
-    mean, largest = 0.0, 0.0
+    mean = 0.0
     for i in range(n):
         e = _at(outputs[i], ERROR)
         square = dot(e, e)
-        mean += square / n
-        largest = max(largest, square)
-    largest = np.sqrt(largest)
+        mean += (square if square < CAP * CAP else CAP * CAP) / n  # in this order CAP for NaN
+    t.score[w] += min(max(reward, 0.0), 1.0)
     t.squared_errors[w] += mean
-    t.error_ticks[w] += 1
-    t.largest_error[w] = max(t.largest_error[w], largest)
-    if largest > SETTLED:
-        t.last_unsettled[w] = tick
-    if steady:
-        t.steady_squared_errors[w] += mean
-        t.steady_ticks[w] += 1
+    t.window_ticks[w] += 1
+    if late:
+        t.late_squared_errors[w] += mean
+        t.late_ticks[w] += 1
+
+
+@device
+def _unsettled(outputs: Any) -> bool:
+    """Whether a follower is not within `SETTLED` of its slot."""
+    for i in range(len(outputs)):
+        e = _at(outputs[i], ERROR)
+        if not np.sqrt(dot(e, e)) <= SETTLED:
+            return True
+    return False
 
 
 @device
@@ -191,6 +223,7 @@ def _failure(ended: bool, outputs: Any) -> int:
 def add_tick(
     t: Tally,
     tick: int,
+    window: int,
     live: NDArray[np.bool_],
     started: NDArray[np.bool_],
     leaders: Floats,
@@ -204,8 +237,8 @@ def add_tick(
 ) -> int:
     """Add tick number `tick` (from 1) of the worlds that are `live`; returns how many still are.
 
-    `leaders` `(W, 3)` are the leaders' true positions in the second half of the time limit, empty
-    before; the followers' are in `outputs`, `(W, n, len(OUTPUTS))`. `rewards`, `terminated` and `truncated`
+    `window` is the number of ticks that are scored. `leaders` `(W, 3)` are the leaders' true positions, m;
+    the followers' are in `outputs`, `(W, n, len(OUTPUTS))`. `rewards`, `terminated` and `truncated`
     are `(W,)`. `actions` and those `before` are `(W, n, k)`, `offsets` the `d_i`, `(n, 3)`, m. `live` is
     changed: False where a world has ended.
     """
@@ -213,21 +246,23 @@ def add_tick(
     for w in range(len(live)):
         if not live[w]:
             continue
+        # Ticks since the trigger; 0 on the tick on which it fires, which is not scored.
+        since = tick - t.trigger_tick[w] if t.trigger_tick[w] >= 0 else 0
         if t.trigger_tick[w] < 0 and started[w]:
-            t.trigger_tick[w], t.last_unsettled[w] = tick, tick
-            t.squared_errors[w], t.error_ticks[w], t.largest_error[w] = 0.0, 0, 0.0
-            t.reward_since_trigger[w] = 0.0
+            t.trigger_tick[w] = tick
+        t.failure[w] = _failure(terminated[w], outputs[w])
         t.reward_sum[w] += rewards[w]
-        t.reward_since_trigger[w] += rewards[w]
         t.ticks[w] += 1
-        late = len(leaders) > 0
-        _score_errors(t, w, tick, late, outputs[w])
-        if late:
-            _score_distances(t, w, _at(leaders[w], 0), outputs[w], offsets)
+        if _unsettled(outputs[w]):
+            t.last_unsettled[w] = tick
+        if 0 < since <= window and t.failure[w] == 0:
+            late = 2 * since > window
+            _score_window(t, w, late, rewards[w], outputs[w])
+            if late:
+                _score_distances(t, w, _at(leaders[w], 0), outputs[w], offsets)
         for i in range(len(offsets)):
             t.min_separation[w] = min(t.min_separation[w], outputs[w, i, SEPARATION])
         _score_actions(t, w, actions[w], before[w])
-        t.failure[w] = _failure(terminated[w], outputs[w])
         live[w] = not (terminated[w] or truncated[w])
         living += live[w]
     return living
@@ -236,33 +271,30 @@ def add_tick(
 def episodes(t: Tally, config: FormationConfig) -> dict[str, Floats]:
     """The columns of `EPISODE`, and `failure` (index into `KINDS`), `(worlds,)` each.
 
-    NaN where an episode has no such value: it did not settle, it ended in the first half, there is one
-    follower only.
+    NaN where an episode has no such value: it did not settle, it ended before the second half of the
+    window, there is one follower only.
     """
-    failed = t.failure > 0
-    period = config.control_period
-    settled = (
-        (t.trigger_tick >= 0) & ~failed & ((t.ticks - t.last_unsettled) * period >= HELD - 1e-9)
-    )
-    late = t.steady_ticks > 0
+    failed, started = t.failure > 0, t.trigger_tick >= 0
+    period, window = config.control_period, window_ticks(config)
+    unsettled = np.maximum(t.last_unsettled, t.trigger_tick)
+    settled = started & ~failed & ((t.ticks - unsettled) * period >= HELD - 1e-9)
+    late = t.late_ticks > 0
     pairs = late & (config.followers > 1)
+    # Of W ticks those with number k, 2 k > W, are late.
+    missing, late_window = window - t.window_ticks, window - window // 2
+    late_missing = late_window - t.late_ticks
     return {
+        "score": t.score / window,
+        "slot_error": np.sqrt((t.squared_errors + missing * CAP**2) / window),
+        "slot_error_late": np.sqrt((t.late_squared_errors + late_missing * CAP**2) / late_window),
+        "failed": failed.astype(np.float64),
+        "trigger_time": np.where(started, t.trigger_tick * period, deadline(config)),
         "return": t.reward_sum / config.max_steps,
-        "reward_since_trigger": _where(
-            t.trigger_tick >= 0, t.reward_since_trigger / np.maximum(t.error_ticks, 1)
-        ),
-        "slot_error_rms": np.sqrt(t.squared_errors / np.maximum(t.error_ticks, 1)),
-        "slot_error_steady": _where(
-            late, np.sqrt(t.steady_squared_errors / np.maximum(t.steady_ticks, 1))
-        ),
-        "slot_error_max": t.largest_error.copy(),
-        "trigger_time": _where(t.trigger_tick >= 0, t.trigger_tick * period),
         "settled": settled.astype(np.float64),
-        "settling_time": _where(settled, (t.last_unsettled - t.trigger_tick) * period),
+        "settling_time": _where(settled, (unsettled - t.trigger_tick) * period),
         "leader_deviation": _where(late, t.leader_deviation),
         "follower_deviation": _where(pairs, t.follower_deviation),
         "min_separation": t.min_separation.copy(),
-        "failed": failed.astype(np.float64),
         "effort": t.squared_actions / t.ticks,
         "smoothness": t.squared_changes / t.ticks,
         "failure": t.failure.astype(np.float64),

@@ -69,6 +69,11 @@ def _add_what(own: Parser) -> None:
         help=f"Policies to score, separated by commas: {', '.join(POLICIES)}; learned ones that are "
         f"shipped, {', '.join(METHODS)}; paths of *{SUFFIX} files; your own code as module:Name or "
         "file.py:Name. (default: all of these names that fly a chosen scenario)")  # fmt: skip
+    add("--runs", type=Path, action="append", default=[], metavar="PATH",
+        help="Policy file of a training run, or folder with such runs (every best.safetensors below it); the "
+        "runs of one method are scored as one policy, where they were trained for a scenario and level "
+        "instead of the file that ships: the median run with an interval over runs and episodes. May "
+        "be repeated. (default: none)")  # fmt: skip
     add("--scenarios", type=reader(_scenarios), metavar="NAMES",
         help=f"Scenarios to fly, separated by commas: {', '.join(SCENARIOS)}; NAME:LEVEL flies one at "
         f"another action level, of {', '.join(LEVEL_NAMES)}. (default: all; with --leaderboard also nominal "
@@ -101,6 +106,10 @@ def _add_how(own: Parser) -> None:
     add("--output", type=Path, default=Path("results"), metavar="DIR",
         help="Folder that the full report, results.md and results.json, is written to. "
         "(default: %(default)s)")  # fmt: skip
+    add("--matrix", type=Path, metavar="FILE",
+        help="File that every episode's score, slot errors, failure and seconds to the start are written to, "
+        "by method, training run, scenario and seed: compressed NumPy arrays, FILE.npz, read by "
+        "baselines.scoring.suite. (default: not written)")  # fmt: skip
     add("--threads", type=whole(1, 1024), default=cores, metavar="N",
         help="Number of threads that fly episodes, or of cores of the cluster that --ray starts. "
         "(default: %(default)s, one for each core of this machine)")  # fmt: skip
@@ -111,5 +120,5 @@ def _add_how(own: Parser) -> None:
         help="Address of a Ray cluster that runs already, HOST:PORT or auto; only with --ray. "
         "(default: a cluster of this machine's cores is started)")  # fmt: skip
     add("--leaderboard", type=Path, nargs="?", const=Path(), metavar="DIR",
-        help="Also write LEADERBOARD.md and the README's extract of it in the checkout DIR, or in the "
-        "current folder where no DIR is given. (default: neither is written)")  # fmt: skip
+        help="Also write LEADERBOARD.md, the README's extract of it and the pages in docs/board in the "
+        "checkout DIR, or in the current folder where no DIR is given. (default: none)")  # fmt: skip

@@ -2,35 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from baselines.scoring.intervals import Estimate, difference, estimate, normalised, summarise
+from baselines.scoring.intervals import Estimate, estimates, median_run, stacked, summarise
 from baselines.scoring.metrics import KINDS
 from baselines.scoring.rollout import Episodes
 from baselines.system.console import width
 from baselines.system.text import table, wrapped
 from formation_env import FormationConfig
 
-# The metrics that are compared with the expert's seed by seed.
-COMPARED = ("return", "slot_error_rms")
+# The policies that others are compared with, episode by episode, where these fly, and in which metrics.
+REFERENCES = ("expert", "expert-tuned", "ff")
+COMPARED = ("score", "slot_error")
 ELSEWHERE = "*"  # marks the score of a policy file on a task that it was not trained for
+WIDEST = 78  # columns of the tables
 
 
 class Result(NamedTuple):
-    """One policy on one scenario."""
+    """One row on one scenario: a policy, or several training runs of a method.
 
-    score: Estimate
+    Of several runs a figure is the median of the runs' figures, its interval over runs and episodes.
+    """
+
     summary: dict[str, Estimate]  # by the names of `metrics.EPISODE`
-    differences: dict[str, Estimate]  # to the expert, of the metrics `COMPARED`
-    failures: dict[str, int]  # episodes by kind of failure
-    to_tuned: dict[str, Estimate]  # differences to the expert with searched gains, if it has flown
+    differences: dict[str, dict[str, Estimate]]  # to one of `REFERENCES`: of the metrics `COMPARED`
+    failures: dict[str, int]  # episodes of the median run by kind of failure
+    median: str  # name of the run whose score is the median
+    runs: dict[str, Episodes]  # columns of `metrics.EPISODE` and `failure`, by the run's name
+
+    @property
+    def score(self) -> Estimate:
+        """The score, 0 to 1."""
+        return self.summary["score"]
+
+    @property
+    def scores(self) -> dict[str, float]:
+        """Mean score of each run."""
+        return {name: float(columns["score"].mean()) for name, columns in self.runs.items()}
 
 
 class Source(NamedTuple):
-    """The file that a policy was flown from."""
+    """The file that a policy was flown from; of several runs the first one's."""
 
     file: str  # name without the folder
     method: str
@@ -44,8 +59,6 @@ class Scenario(NamedTuple):
 
     config: FormationConfig
     results: dict[str, Result]
-    span: float  # the expert's mean return minus hover's, the unit of the score
-    measuring: dict[str, Estimate] | None  # the expert's, with velocity and acceleration measured
     sources: dict[str, Source]  # of those policies that are files
     absent: dict[str, str]  # policies that cannot fly here, and why
 
@@ -68,62 +81,88 @@ class Report(NamedTuple):
         return list(dict.fromkeys(p for s in self.scenarios.values() for p in s.results))
 
     def __str__(self) -> str:
-        """What the command prints: scores and failures."""
+        """What the command prints."""
         return summary(self)
 
 
-def judge(
-    columns: Episodes, hover: Episodes, expert: Episodes, tuned: Episodes | None = None
-) -> Result:
-    """A policy's result from its episodes and those of the policies it is compared with on the same
-    seeds."""
-    returns = [each["return"] for each in (columns, hover, expert)]
-    kinds = np.bincount(columns["failure"].astype(np.int64), minlength=len(KINDS))
+def judge(runs: Mapping[str, Episodes], references: Mapping[str, Episodes]) -> Result:
+    """A row's result from the episodes of its runs and those, on the same seeds, of the policies that it is
+    compared with."""
+    columns = list(runs.values())
+    median = list(runs)[median_run(stacked(columns, "score"))]
+    kinds = np.bincount(runs[median]["failure"].astype(np.int64), minlength=len(KINDS))
     return Result(
-        estimate(normalised, *returns),
         summarise(columns),
-        {name: difference(columns, expert, name) for name in COMPARED},
+        {
+            name: estimates({m: stacked(columns, m) - other[m] for m in COMPARED})
+            for name, other in references.items()
+        },
         {kind: int(kinds[k]) for k, kind in enumerate(KINDS) if k > 0},
-        {} if tuned is None else {name: difference(columns, tuned, name) for name in COMPARED},
+        median,
+        dict(runs),
     )
-
-
-def above_expert(results: dict[str, Result]) -> list[str]:
-    """The policies with a score above the expert's."""
-    return [p for p, r in results.items() if r.differences["return"].value > 0.0]
 
 
 # -- as text --------------------------------------------------------------------------------------
 
+_MOST_TABLES = 6  # scenarios that are shown in a table each
+
 
 def summary(report: Report, columns: int | None = None) -> str:
-    """Scores, failures and what the marks mean, at most `columns` wide (by default: the terminal)."""
-    columns = width() if columns is None else columns
+    """A table for each of a few scenarios, one of all scores, and what the marks mean, at most `columns` wide
+    (by default: the terminal, at most `WIDEST`)."""
+    columns = min(width(), WIDEST) if columns is None else columns
     count = f"{report.episodes} episode{'s' if report.episodes > 1 else ''}"
-    head = f"score of {count}: hover is 0, the expert 1, higher is better"
-    parts = [f"{wrapped(head, columns)}\n{_table(report, _score, columns)}"]
-    if any(_failed(s, policy) for s in report.scenarios.values() for policy in report.policies):
-        failed = _table(report, _failed, columns, skip_empty=True)
-        parts.append(f"failed episodes, of {report.episodes} (none where empty)\n{failed}")
+    head = f"{count} for each policy and scenario; score: mean reward in the window, 0 to 1, 1 is exact"
+    scenarios = report.scenarios
+    few = len(scenarios) <= _MOST_TABLES
+    if few:
+        head += ", with its 95 % interval; slot error in the window and in its second half"
+    parts = [wrapped(head, columns)]
+    if few:
+        parts += [f"{name}\n{_figures(each, columns)}" for name, each in scenarios.items()]
+    if len(scenarios) > 1:
+        parts.append(f"scores\n{_scores(report, columns)}")
     notes = list(_notes(report))
     if notes:
         parts.append("\n".join(wrapped(note, columns) for note in notes))
     return "\n\n".join(parts)
 
 
-def _table(
-    report: Report, cell: Callable[[Scenario, str], str], columns: int, skip_empty: bool = False
-) -> str:
+_COLUMNS: dict[str, Callable[[Result], str]] = {
+    "slot error m": lambda r: f"{r.summary['slot_error'].value:.3f}",
+    "late error m": lambda r: f"{r.summary['slot_error_late'].value:.3f}",
+    "failed %": lambda r: f"{100.0 * r.summary['failed'].value:.0f}",
+    "start s": lambda r: f"{r.summary['trigger_time'].value:.1f}",
+}
+
+
+def _figures(scenario: Scenario, columns: int) -> str:
+    """One scenario: a line for each policy, a column for each of its most telling figures."""
+
+    def cell(policy: str, name: str) -> str:
+        result = scenario.results[policy]
+        if name in _COLUMNS:
+            return _COLUMNS[name](result)
+        s = result.score
+        return f"{s.value:.3f} ({s.low:.3f} .. {s.high:.3f}){_mark(scenario, policy)}"
+
+    return table("policy", list(scenario.results), ["score", *_COLUMNS], cell, columns)
+
+
+def _scores(report: Report, columns: int) -> str:
     """A line for each policy and a column for each scenario."""
     scenarios = report.scenarios
-    return table(
-        "policy",
-        report.policies,
-        list(scenarios),
-        lambda policy, name: cell(scenarios[name], policy),
-        columns,
-        skip_empty,
-    )
+
+    def cell(policy: str, name: str) -> str:
+        result = scenarios[name].results.get(policy)
+        return f"{result.score.value:.3f}{_mark(scenarios[name], policy)}" if result else "- "
+
+    return table("policy", report.policies, list(scenarios), cell, columns)
+
+
+def _mark(scenario: Scenario, policy: str) -> str:
+    return ELSEWHERE if scenario.untrained(policy) else " "
 
 
 def _notes(report: Report) -> Iterable[str]:
@@ -132,20 +171,8 @@ def _notes(report: Report) -> Iterable[str]:
         yield f"{ELSEWHERE} trained for another task"
     if any(policy in s.absent for s in scenarios.values() for policy in report.policies):
         yield "- does not fly this scenario: the full report says why"
-    useless = [name for name, s in scenarios.items() if not s.span > 0.0]
-    if useless:
-        yield f"scores on {', '.join(useless)} mean nothing: the expert is no better than hover there"
-
-
-def _score(scenario: Scenario, policy: str) -> str:
-    if policy not in scenario.results:
-        return "- "
-    mark = ELSEWHERE if scenario.untrained(policy) else " "
-    return f"{scenario.results[policy].score.value:.3f}{mark}"
-
-
-def _failed(scenario: Scenario, policy: str) -> str:
-    if policy not in scenario.results:
-        return ""
-    number = sum(scenario.results[policy].failures.values())
-    return f"{number}" if number else ""
+    medians = {r.median: len(r.runs) for s in scenarios.values() for r in s.results.values()}
+    several = {name: count for name, count in medians.items() if count > 1}
+    if several:
+        shown = ", ".join(f"{name} of {count}" for name, count in several.items())
+        yield f"of several training runs the median is shown: {shown}"

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.policies.base import Policy
-from baselines.scoring.metrics import add_tick, begin, episodes
+from baselines.scoring.metrics import add_tick, begin, episodes, window_ticks
 from formation_env.core.simulation import Simulation, seeded_key
 
 Episodes = dict[str, NDArray[np.float64]]
@@ -57,9 +57,9 @@ def fly(
         simulation.seed(world, seeded_key(seed))
     policy.reset(seed=seeds.start, worlds=worlds)
     results = simulation.reset()
-    tally = begin(config, simulation.started)
+    tally, window = begin(simulation.started), window_ticks(config)
     actions = np.zeros((worlds, config.followers, config.action_size), dtype=np.float32)
-    offsets, nowhere = np.array(config.offsets), np.zeros((0, 3))
+    offsets = np.array(config.offsets)
     live, living = np.ones(worlds, dtype=np.bool_), worlds
     last = config.max_steps if most is None else min(most, config.max_steps)
     for tick in range(1, last + 1):
@@ -72,13 +72,13 @@ def fly(
             # Ended worlds stand still, in whatever state they ended: what is decided there is void.
             actions[~live] = 0.0
         results = simulation.step(actions, mask=live)
-        late = tick > last // 2
         living = add_tick(
             tally,
             tick,
+            window,
             live,
             simulation.started,
-            simulation.leaders if late else nowhere,
+            simulation.leaders,
             results.outputs,
             results.rewards,
             results.terminated,

@@ -4,7 +4,8 @@ The guide's text is `train/README.template.md`; its tables and pictures come fro
 learning curves in `train/curves/` and the policies in `baselines/policies/`. With the same versions the same
 files give the same bytes. What is checked in comes from
 
-    python -m train.cards --ship runs/x          the policy of a run, scored on seeds 0-99, and its curve
+    python -m train.cards --ship runs/x-*        of some training runs the policy whose score on seeds 0-99
+                                                 is the median, and all curves
     python -m train.cards --curve runs/y runs/z  the curves alone, of other seeds or of what failed
     python -m train.cards --generalise           the policies of `nominal` on tasks they have not seen
 
@@ -63,9 +64,10 @@ def parser() -> _Parser:
     what.add_argument(
         "--ship",
         type=Path,
+        nargs="+",
         metavar="RUN",
-        help="Folder of a run whose policy, scored on seeds 0 to 99, and learning curve are checked "
-        "in. (default: none)",
+        help="Folders of the training runs of one method and task: the policy with the median score on "
+        "seeds 0 to 99 is checked in, and the learning curves of all. (default: none)",
     )
     what.add_argument(
         "--curve",
@@ -140,15 +142,21 @@ def _do(options: argparse.Namespace) -> int:
 
 
 def _ship(
-    folder: Path, method: str | None, checkout: Path, threads: int, episodes: int = EPISODES
+    folders: Sequence[Path],
+    method: str | None,
+    checkout: Path,
+    threads: int,
+    episodes: int = EPISODES,
 ) -> int:
-    """Score the policy of a run and check it in, with its curve."""
-    run = shipping.open_run(folder, method)
-    shipping.require_shippable(run)
-    result = shipping.scored(run, episodes, threads)
-    print(f"score {scored(result.score)}, return minus the expert's "
-          f"{signed(result.differences['return'])}, failures {result.failures}")  # fmt: skip
-    return _written(shipping.ship(run, result.score, checkout))
+    """Score the policies of runs and check in the median one, with all curves."""
+    runs = [shipping.open_run(folder, method) for folder in folders]
+    shipping.require_shippable(runs)
+    median, result = shipping.scored(runs, episodes, threads)
+    print(f"score {scored(result.score)} of {folders[runs.index(median)]}, minus the expert's "
+          f"{signed(result.differences['expert']['score'])}, failures {result.failures}")  # fmt: skip
+    paths = shipping.ship(median, result.score, checkout)
+    others = [shipping.keep_curve(run.curve, checkout) for run in runs if run is not median]
+    return _written([*paths, *others])
 
 
 def _guide(checkout: Path) -> int:
@@ -162,7 +170,8 @@ def _guide(checkout: Path) -> int:
     paths = []
     for name, curves in guide.pictures(facts.curves).items():
         paths.append(checkout / shipping.CURVES / name)
-        draw(curves, paths[-1])
+        key = curves[0].key
+        draw(curves, facts.board.get((key.scenario, key.action), {}), paths[-1])
     write_text(checkout / guide.README, text)
     for name in facts.stale:
         print(f"{name}: not in the table of generalisation; run --generalise", file=sys.stderr)

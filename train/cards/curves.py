@@ -126,7 +126,7 @@ def to_text(curve: Curve) -> str:
             HEADER,
             *(
                 f"{r.steps},{r.minutes:.2f},{r.score:.4f},{r.low:.4f},{r.high:.4f},"
-                f"{r.mean_return:.4f},{r.slot_error_rms:.4f},{r.failed:.3f},{r.seed}\n"
+                f"{r.mean_return:.4f},{r.slot_error:.4f},{r.failed:.3f},{r.seed}\n"
                 for r in curve.rows
             ),
         ]

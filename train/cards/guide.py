@@ -11,6 +11,7 @@ from baselines import files
 from baselines.files import Card, Network
 from baselines.policies.tuned import GAINS, read
 from baselines.registry import USUAL
+from baselines.reporting.board import JSON, PAGES
 from formation_env import SCENARIOS
 from formation_env.laws.levels import NAMES as LEVEL_NAMES
 from train.cards.curves import Curve, Key, order, read_curve
@@ -25,6 +26,7 @@ from train.cards.shipping import (
     shipped,
 )
 
+BOARD = PAGES / JSON
 README, TEMPLATE = Path("train/README.md"), Path("train/README.template.md")
 TUNED = Path("baselines") / GAINS.name
 
@@ -42,6 +44,10 @@ class Shipped(NamedTuple):
     network: Network
 
 
+Task = tuple[str, str]  # scenario and action level
+SHOWN = ("expert", "ff")  # programmed policies that are drawn beside the learning curves
+
+
 class Facts(NamedTuple):
     """Everything in a checkout that the text and the tables are made of."""
 
@@ -50,6 +56,9 @@ class Facts(NamedTuple):
     curves: list[Curve]  # by scenario, level, method and seed
     transfers: list[Transfer]
     stale: list[str]  # policies whose transfers are of an earlier file, or missing
+    board: dict[
+        Task, dict[str, float]
+    ]  # scores of `SHOWN` on the leaderboard, by scenario and level
     tuned: dict[str, Any]  # scenario: level: entry
 
 
@@ -69,7 +78,26 @@ def gather(checkout: Path) -> Facts:
         if key.scenario == USUAL and (key.method, key.action) not in measured
     ]
     curves.sort(key=lambda c: (order(c.key), c.seed))
-    return Facts(template, policies, curves, kept, stale, _tuned(checkout / TUNED))
+    board = _board(checkout / BOARD)
+    return Facts(template, policies, curves, kept, stale, board, _tuned(checkout / TUNED))
+
+
+def _board(path: Path) -> dict[Task, dict[str, float]]:
+    """Scores of `SHOWN` from the leaderboard's figures; none without them. Raises `ValueError`."""
+    if not path.exists():
+        return {}
+    try:
+        scenarios = json.loads(path.read_text(encoding="utf-8"))["scenarios"]
+        return {
+            (name.partition(":")[0], each["action"]): {
+                shown: float(each["policies"][shown]["metrics"]["score"][0])
+                for shown in SHOWN
+                if shown in each["policies"]
+            }
+            for name, each in scenarios.items()
+        }
+    except (KeyError, TypeError, IndexError, ValueError):
+        raise ValueError(f"{path}: not what baselines.evaluate --leaderboard writes") from None
 
 
 def _tuned(path: Path) -> dict[str, Any]:
@@ -150,9 +178,7 @@ def _score(key: Key, each: Shipped | None) -> str:
     three = each.card.score.get(key.scenario) if each else None
     if three is None:
         return "-"
-    value, low, high = three
-    text = _interval(value, low, high)
-    return text.replace(f"{value:.3f}", f"**{value:.3f}**", 1) if low > 1.0 else text
+    return _interval(*three)
 
 
 def _best(runs: Sequence[Curve]) -> str:

@@ -18,6 +18,7 @@ from baselines.registry import METHODS, USUAL
 from baselines.scoring.evaluation import EPISODES, evaluate
 from baselines.scoring.intervals import Estimate
 from baselines.scoring.results import Result
+from baselines.scoring.runs import BEST
 from baselines.system.writing import write_text
 from formation_env import SCENARIOS, FeasibilityWarning, FormationConfig, configure, formations
 from formation_env.laws.levels import NAMES as LEVEL_NAMES
@@ -29,7 +30,8 @@ GENERALISATION = CURVES / "generalisation.csv"
 
 LARGEST_FILE = 1_000_000  # bytes, of a policy
 _SPARE = 1_000  # bytes of these for the score that is written into the card
-BEST, LOG = "best.safetensors", "log.csv"
+LOG = "log.csv"
+_ROW = "runs"
 
 
 class FinishedRun(NamedTuple):
@@ -79,8 +81,26 @@ def open_run(folder: Path, method: str | None = None) -> FinishedRun:
     return FinishedRun(policy, card, network, config, curve)
 
 
-def require_shippable(run: FinishedRun) -> None:
-    """Raises `ValueError` for a policy that is too large, or of a method that has no name in the registry."""
+def require_shippable(runs: Sequence[FinishedRun]) -> None:
+    """Raises `ValueError` for a policy that is too large, for a method that has no name in the registry, and
+    for runs of several methods or tasks, or of the same seed."""
+    first = runs[0]
+    for run in runs:
+        _require_shippable(run)
+        if run.curve.key != first.curve.key:
+            raise ValueError(
+                f"{run.policy}: {' '.join(run.curve.key)}: expected runs of one method and task, as "
+                f"{first.policy}: {' '.join(first.curve.key)}"
+            )
+    seeds = [run.curve.seed for run in runs]
+    for run in runs:
+        if seeds.count(run.curve.seed) > 1:
+            raise ValueError(
+                f"{run.policy}: seed {run.curve.seed} twice: expected one run of a seed"
+            )
+
+
+def _require_shippable(run: FinishedRun) -> None:
     size = run.policy.stat().st_size
     if size > LARGEST_FILE - _SPARE:
         raise ValueError(f"{run.policy}: {size} bytes: expected at most {LARGEST_FILE - _SPARE}")
@@ -91,15 +111,22 @@ def require_shippable(run: FinishedRun) -> None:
         )
 
 
-def scored(run: FinishedRun, episodes: int, threads: int) -> Result:
-    """The policy on the leaderboard's seeds, from 0. Raises `ValueError`."""
-    scenario, policy = run.card.scenario, str(run.policy)
-    report = evaluate({scenario: run.config}, [policy], episodes, 0, threads, quiet=False)
-    return report.scenarios[scenario].results[policy]
+def scored(runs: Sequence[FinishedRun], episodes: int, threads: int) -> tuple[FinishedRun, Result]:
+    """The run whose policy has the median score on the leaderboard's seeds, from 0, and the result of all
+    together. Raises `ValueError`."""
+    scenario, config = runs[0].card.scenario, runs[0].config
+    policies = {f"{_ROW}#{i}": str(run.policy) for i, run in enumerate(runs)}
+    flown = {"expert": "expert", **policies}
+    report = evaluate({scenario: config}, flown, episodes, 0, threads, quiet=False)
+    result = report.scenarios[scenario].results[_ROW]
+    return runs[list(policies).index(result.median)], result
 
 
 def ship(run: FinishedRun, score: Estimate, checkout: Path) -> list[Path]:
-    """Write policy, with its score, and curve into a checkout. Raises `OSError`, `ValueError`."""
+    """Write a policy, with the score of its method, and its curve into a checkout.
+
+    Raises `OSError`, `ValueError`.
+    """
     key = run.curve.key
     path = checkout / POLICIES / f"{key.method}-{key.scenario}-{key.action}{SUFFIX}"
     three = [round(x, 5) for x in (score.value, score.low, score.high)]

@@ -97,7 +97,7 @@ class EvaluateAndSave(BaseCallback):
         best = is_best(row, self.rows)
         self.rows.append(row)
         self._next_evaluation = (self.num_timesteps // every + 1) * every
-        for name in ("score", "slot_error_rms", "failed"):
+        for name in ("score", "slot_error", "failed"):
             self.logger.record(f"evaluation/{name}", getattr(row, name))
         self.seconds["evaluation"] += perf_counter() - begun
         if best:

@@ -1,14 +1,13 @@
 """Find gains for a law: `python -m train.tune_expert --scenario paper`, `... --policy lee`.
 
 CMA-ES (pycma) searches the gains of the paper's planner and tracker, or of a textbook's law, for the
-largest mean return over training seeds, the same ones for every candidate; failures count by their
-returns. It starts from the plain gains, and every candidate satisfies the law's conditions
-(`train.tune_expert.gain_space`, `loop_space`). Whatever the law, it has as many candidates. Those with the
-largest returns, and the plain gains, then fly validation seeds, and the best of those is the result. The
-leaderboard's seeds are not used.
+largest mean score over training seeds, the same ones for every candidate. It starts from the plain gains,
+and every candidate satisfies the law's conditions (`train.tune_expert.gain_space`, `loop_space`). Whatever
+the law, it has as many candidates. Those with the largest scores, and the plain gains, then fly validation
+seeds, and the best of those is the result. The leaderboard's seeds are not used.
 
 Results do not depend on the number of threads, and the same options give the same gains. The journal,
-`OUTPUT/SCENARIO-ACTION.json`, has the returns so far; after an interruption `--resume` repeats the search
+`OUTPUT/SCENARIO-ACTION.json`, has the scores so far; after an interruption `--resume` repeats the search
 from it, without flying those candidates again.
 """
 
@@ -52,12 +51,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("interrupted: --resume goes on where the journal ends", file=sys.stderr)
         return 130
-    score, gain = best.result.score, best.result.differences["return"]
+    score, gain = best.result.score, best.result.differences["expert"]["score"]
     console.say(
         f"score {score.value:.3f} ({score.low:.3f} .. {score.high:.3f}) on validation seeds, "
     )
     console.say(
-        f"return {gain.value:+.4f} ({gain.low:+.4f} .. {gain.high:+.4f}) beside the expert's"
+        f"score {gain.value:+.4f} ({gain.low:+.4f} .. {gain.high:+.4f}) beside the expert's"
     )
     console.say(json.dumps(options.tunable.document(best.gains), indent=1))
     return 0

@@ -24,7 +24,7 @@ _WRITING_INTERVAL = 5.0  # s, at least, between two writings of the file
 
 @final
 class Journal:
-    """The returns of all candidates flown so far, in one file that is written whole or not at all."""
+    """The scores of all candidates flown so far, in one file that is written whole or not at all."""
 
     def __init__(self, path: Path, options: Options, config: FormationConfig) -> None:
         self._path, self._tunable = path, options.tunable
@@ -40,7 +40,7 @@ class Journal:
         self.candidates: dict[str, list[Candidate]] = {}
 
     def recorded(self) -> dict[str, list[float]]:
-        """The mean returns in the file, by choice. Raises `ValueError` if it is of another search."""
+        """The mean scores in the file, by choice. Raises `ValueError` if it is of another search."""
         try:
             before = json.loads(read_bytes(self._path).decode("utf-8"))
             options, package, values = before["options"], before["package"], before["values"]
@@ -66,19 +66,19 @@ class Journal:
             self.write(None)
 
     def best(self, choice: str, count: int) -> list[Candidate]:
-        """The `count` candidates with the largest returns, no two equal; of equal returns the first."""
+        """The `count` candidates with the largest scores, no two equal; of equal scores the first."""
         ordered = sorted(self.candidates[choice], key=lambda c: -c.value)
         return list(dict.fromkeys(ordered))[:count]
 
     def write(self, result: dict[str, Any] | None) -> None:
-        """Write the file: returns in the order flown, the best gains so far, and the result."""
+        """Write the file: scores in the order flown, the best gains so far, and the result."""
         flown = [c for each in self.candidates.values() for c in each]
         best = max(flown, key=lambda c: c.value)
         document = {
             **self._head,
             "evaluations": len(flown),
             "best_by_training": {
-                "return": best.value,
+                "score": best.value,
                 **self._tunable.document(self._space.gains(np.array(best.x), best.choice)),
             },
             "result": result,

@@ -23,14 +23,14 @@ class Candidate(NamedTuple):
 
     x: tuple[float, ...]
     choice: str  # of the tunable: for the expert a feedforward
-    value: float  # mean return on the training seeds
+    value: float  # mean score on the training seeds
 
 
 class Search(NamedTuple):
     """What a search is made of."""
 
     space: Space
-    mean_returns: Callable[[Sequence[Any]], list[float]]  # flies candidates
+    mean_scores: Callable[[Sequence[Any]], list[float]]  # flies candidates
     on_generation: Callable[[str, Sequence[Candidate]], None]  # called after every generation
     spread: float  # standard deviation of the first generation, in units of the space
     seed: int
@@ -71,7 +71,7 @@ def _strategy(s: Search, rng: np.random.Generator, size_factor: int) -> Any:
         # Its own stream: nothing is drawn from NumPy's global state.
         "seed": np.nan,
         "randn": lambda *shape: rng.standard_normal(shape),
-        "tolfun": 1e-7,  # smaller differences of returns do not count
+        "tolfun": 1e-7,  # smaller differences of scores do not count
         "tolx": 1e-4,
         "verbose": -10,  # also keeps pycma from reading a file of signals
         "verb_log": 0,
@@ -90,7 +90,7 @@ def _generation(
     """Fly the points, or take their values from `recorded`; returns how many there were."""
     old = recorded[: len(points)]
     del recorded[: len(points)]
-    new = s.mean_returns([s.space.gains(x, choice) for x in points[len(old) :]])
+    new = s.mean_scores([s.space.gains(x, choice) for x in points[len(old) :]])
     both = [*old, *new]
     s.on_generation(
         choice,

@@ -26,13 +26,13 @@ from train.tune_expert.options import Options
 from train.tune_expert.search import Candidate, Search, search
 from train.tune_expert.tunables import Tunable
 
-_OVERFLOWED = -1e3  # the return of gains with which the law leaves the range of numbers
+_OVERFLOWED = -1.0  # the score of gains with which the law leaves the range of numbers
 
 
-def mean_return(policy: Policy, seeds: range) -> float:
-    """Mean return over the seeds; `_OVERFLOWED` where it is no number."""
+def mean_score(policy: Policy, seeds: range) -> float:
+    """Mean score over the seeds; `_OVERFLOWED` where it is no number."""
     try:
-        value = float(fly_all(policy, seeds)["return"].mean())
+        value = float(fly_all(policy, seeds)["score"].mean())
     except ValueError as problem:
         if "expected finite numbers" not in str(problem):
             raise
@@ -44,7 +44,7 @@ def mean_return(policy: Policy, seeds: range) -> float:
 
 
 class BestGains(NamedTuple):
-    """The gains with the largest mean return on the validation seeds, and their result there."""
+    """The gains with the largest mean score on the validation seeds, and their result there."""
 
     gains: Any
     result: Result
@@ -57,12 +57,12 @@ def validate(
     seeds: range,
     pool: ThreadPoolExecutor,
 ) -> BestGains:
-    """The finalist with the largest mean return over the seeds, the first where equal."""
+    """The finalist with the largest mean score over the seeds, the first where equal."""
     policies = [tunable.policy(config, gains) for gains in finalists]
-    anchors = [make_policy(name, config) for name in ("hover", "expert")]
-    hover, expert, *columns = pool.map(lambda p: fly_all(p, seeds), [*anchors, *policies])
-    best = max(range(len(columns)), key=lambda i: columns[i]["return"].mean())
-    return BestGains(finalists[best], judge(columns[best], hover, expert))
+    own_law = make_policy("expert", config)
+    expert, *columns = pool.map(lambda p: fly_all(p, seeds), [own_law, *policies])
+    best = max(range(len(columns)), key=lambda i: columns[i]["score"].mean())
+    return BestGains(finalists[best], judge({"": columns[best]}, {"expert": expert}))
 
 
 def _interval(e: Estimate) -> list[float | None]:
@@ -80,7 +80,7 @@ def provenance(options: Options, best: BestGains) -> dict[str, Any]:
         "validation": [validation.start, validation.stop - 1],
         "score": _interval(result.score),
         "return": _interval(result.summary["return"]),
-        "return_minus_expert": _interval(result.differences["return"]),
+        "score_minus_expert": _interval(result.differences["expert"]["score"]),
         "failed": _interval(result.summary["failed"]),
     }
 
@@ -135,28 +135,26 @@ def _run(
     share = max(1, options.evaluations // len(choices))
     # Before the threads start, since the first flight compiles; and the own gains have to fly.
     with compiling(options.quiet):
-        hover = mean_return(make_policy("hover", config), seeds)
-        own_return = mean_return(make_policy(tunable.name, config), seeds)
+        mean_score(make_policy(tunable.name, config), seeds)
     with (
         ThreadPoolExecutor(options.threads, thread_name_prefix="tune") as pool,
         tqdm(total=share * len(choices), disable=options.quiet, unit=" candidates") as bar,
     ):
 
-        def mean_returns(candidates: Sequence[Any]) -> list[float]:
+        def mean_scores(candidates: Sequence[Any]) -> list[float]:
             # Made here, not in the threads: silencing warnings, as `configure` does, is not thread-safe.
             policies = [tunable.policy(config, gains) for gains in candidates]
-            return list(pool.map(lambda policy: mean_return(policy, seeds), policies))
+            return list(pool.map(lambda policy: mean_score(policy, seeds), policies))
 
         def on_generation(choice: str, generation: Sequence[Candidate]) -> None:
             journal.add(choice, generation)
             bar.update(len(generation))
             best = journal.best(choice, 1)[0].value
-            score = (best - hover) / (own_return - hover) if own_return != hover else float("nan")
-            bar.set_description_str(f"{choice}: score {score:.3f}", refresh=False)
+            bar.set_description_str(f"{choice}: score {best:.4f}", refresh=False)
 
         try:
             for choice in choices:
-                flown = (mean_returns, on_generation, options.spread, options.seed)
+                flown = (mean_scores, on_generation, options.spread, options.seed)
                 settings = Search(space, *flown, all_choices)
                 search(settings, choice, share, recorded.get(choice, ()))
         except BaseException:
@@ -173,7 +171,7 @@ def _validation_seeds(options: Options) -> range:
 
 
 def _finalists(options: Options, config: FormationConfig, journal: Journal) -> list[Any]:
-    """The plain gains, then those with the largest returns on the training seeds."""
+    """The plain gains, then those with the largest scores on the training seeds."""
     space = options.tunable.space(config)
     best = [
         space.gains(np.array(c.x), c.choice)

@@ -1,0 +1,266 @@
+"""The leaderboard: short, says what was trained for what, and calls a policy best only if all runs agree."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_reports import LEARNED, Floats, large, scenario
+
+from baselines import evaluate as command
+from baselines.registry import POLICIES
+from baselines.reporting import board, findings, profile, report
+from baselines.reporting.findings import agreed_best
+from baselines.scoring.results import Report
+from baselines.scoring.suite import matrix, suite_score
+from formation_env import configure
+
+QUICK = ["--scenarios", "nominal", "--policies", "hover", "--episodes", "2", "--duration", "0.1"]
+
+
+def near(level: float, seed: int = 0, count: int = 30) -> Floats:
+    """Scores around a level."""
+    return level + 0.01 * np.random.default_rng(seed).standard_normal(count)
+
+
+@pytest.fixture(scope="module")
+def board_of_nine() -> Report:
+    return large(9)
+
+
+# -- the short page -------------------------------------------------------------------------------
+
+
+def cells(text: str, row: str) -> list[str]:
+    """The cells of a row of the first table that has it, without its name."""
+    (line, *_) = (line for line in text.splitlines() if line.startswith(f"| `{row}` |"))
+    return [cell.strip() for cell in line.strip("| ").split(" | ")[1:]]
+
+
+@pytest.mark.parametrize("scenarios", [2, 9, 15])
+def test_it_is_short(scenarios: int) -> None:
+    """However many policies fly: 8 kB, with all of its parts."""
+    result = large(scenarios)
+    text = board.leaderboard(result, "command", matrix(result))
+    assert len(text.encode()) <= 8000
+    for part in (
+        board.LEGEND,
+        board.ADD,
+        "## What it says",
+        "[statistics](docs/board/statistics.md)",
+    ):
+        assert part in text
+    assert text.count("## ") == 2
+    assert len(cells(text, "ppo")) == scenarios
+    assert ("±" in text.split("## What")[0].split("| `ppo`")[1]) == (scenarios < 10)
+
+
+def test_every_learned_cell_says_what_it_was_trained_for(board_of_nine: Report) -> None:
+    text = board.leaderboard(board_of_nine, "command", matrix(board_of_nine))
+    for method in LEARNED:
+        for k, cell in enumerate(cells(text, method)):
+            assert cell.endswith(" own") if k % 2 == 0 else re.fullmatch(r"\*.* experiment\*", cell)
+    for cell in cells(text, "lee"):
+        assert re.fullmatch(r"\**0\.\d{3}( ±\.\d{3})?\**", cell)
+
+
+def test_failures_are_shown_where_there_are_any(board_of_nine: Report) -> None:
+    text = board.leaderboard(board_of_nine, "command", matrix(board_of_nine))
+    table = text.split(board.LEGEND)[1].split("## What")[0]
+    assert cells(f"{table} ", "ppo") == ["", "48"] * 4
+    assert "`expert`" not in table
+
+
+def test_best_only_if_all_training_runs_agree() -> None:
+    five = [near(0.95, i) for i in range(5)]
+    others = {"expert": [near(0.9, 9)], "bc": [near(0.85, 10), near(0.92, 11)]}
+    trained = {"ppo": "nominal", "bc": "nominal"}
+    assert agreed_best(scenario({**others, "ppo": five}, trained)) == "ppo"
+    # One run that is behind one of another policy's runs, four runs, a tie.
+    assert agreed_best(scenario({**others, "ppo": [*five[1:], near(0.91, 0)]}, trained)) is None
+    assert agreed_best(scenario({**others, "ppo": five[1:]}, trained)) is None
+    assert agreed_best(scenario({**others, "ppo": five, "ff": [five[0]]}, trained)) is None
+    # A law needs no training seeds, but has to beat every run.
+    assert agreed_best(scenario({"expert": [near(0.99)], "ppo": five}, trained)) == "expert"
+    lucky = [*five[1:], near(0.995, 3)]
+    assert agreed_best(scenario({"expert": [near(0.99)], "ppo": lucky}, trained)) is None
+
+
+def test_the_best_is_bold_and_nothing_else() -> None:
+    runs = {"expert": [near(0.9, 9)], "ppo": [near(0.95, i) for i in range(5)]}
+    result = Report(0, 30, {"nominal": scenario(runs, {"ppo": "nominal"})})
+    text = board.leaderboard(result, "command", matrix(result))
+    assert re.fullmatch(r"\*\*0\.9\d\d ±\.\d{3}\*\* own", cells(text, "ppo")[0])
+    assert "*" not in cells(text, "expert")[0]
+
+
+# -- what it says ---------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def textbook(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All laws of `made_reports` are programmed ones."""
+    for name in ("ff", "ff-filter", "ff-tuned", "lee", "lee-tuned", "lqr", "lqr-tuned"):
+        monkeypatch.setitem(POLICIES, name, POLICIES["expert"])
+
+
+@pytest.mark.usefixtures("textbook")
+def test_three_to_five_findings_said_once(board_of_nine: Report) -> None:
+    m = matrix(board_of_nine)
+    said = findings.findings(board_of_nine, m)
+    assert 3 <= len(said) <= 5
+    titles = [re.match(r"\*\*(.+?)\.\*\*", text)[1] for text in said]  # type: ignore[index]
+    assert len(set(titles)) == len(titles)
+    paper = said[0]
+    score = suite_score(m, "expert").interquartile_mean.value
+    assert f"`expert` {score:.3f}" in paper and "`expert` is number 1 of 5" in paper
+    assert "`expert-tuned` is number 1 of 4" in paper
+    learned, transfer = said[2], said[3]
+    # Five of nine scenarios are learned by eight methods, of which the first ones are above the expert.
+    own = [
+        s.results[method].differences["expert"]["score"]
+        for k, s in enumerate(board_of_nine.scenarios.values())
+        for method in LEARNED
+        if k % 2 == 0
+    ]
+    above, below = sum(e.low > 0 for e in own), sum(e.high < 0 for e in own)
+    assert f"Of {len(own)} cells, of 5 training runs each" in learned
+    assert f"{above} above `expert`, {below} below;" in learned
+    assert "and 0 %, trained for another one 0." in transfer and transfer.endswith("and 48 %.")
+
+
+def test_findings_without_a_subject_are_left_out() -> None:
+    alone = Report(0, 30, {"nominal": scenario({"hover": [near(0.1)]})})
+    assert findings.findings(alone, matrix(alone)) == []
+
+
+# -- the pages ------------------------------------------------------------------------------------
+
+
+def test_all_of_it_is_written_and_again_the_same(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    readme = tmp_path / "README.md"
+    frame = f"# Title\n\n{board.BEGIN}\n{{}}\n{board.END}\n\nRest\n"
+    readme.write_text(frame.format("old"), encoding="utf-8")
+    stale = tmp_path / "docs/board/gone.md"
+    stale.parent.mkdir(parents=True)
+    stale.write_text("a scenario that is no more", encoding="utf-8")
+    arguments = [*QUICK, "--output", str(tmp_path / "out"), "--leaderboard", str(tmp_path)]
+    assert command.main(arguments) == 0
+    text = (tmp_path / "LEADERBOARD.md").read_text(encoding="utf-8")
+    repeat = "--policies hover --scenarios nominal --episodes 2 --duration 0.1 --leaderboard"
+    assert f"`python -m baselines.evaluate {repeat}`" in text
+    first = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file() and "out" not in p.parts}
+    names = {"nominal.md", "files.md", "figures.md", "statistics.md", "results.json", "profile.png"}
+    assert {p.name for p in first if p.parent.name == "board"} == names
+    shown = readme.read_text(encoding="utf-8")
+    assert shown.startswith("# Title") and shown.endswith("Rest\n") and "old" not in shown
+    assert re.search(r"\| `hover` \| 0\.\d\d \|", shown)
+    assert command.main(arguments) == 0
+    assert {p: p.read_bytes() for p in first} == first
+
+
+def test_links_lead_to_pages(board_of_nine: Report) -> None:
+    m = matrix(board_of_nine)
+    pages = board.pages(board_of_nine, m)
+    known = {*pages, board.PICTURE, board.JSON}
+    text = board.leaderboard(board_of_nine, "command", m)
+    assert {Path(link).name for link in re.findall(r"\]\((docs/board/[^)]+)\)", text)} == known - {
+        board.PICTURE
+    }
+    for name, page in pages.items():
+        links = re.findall(r"\]\(([^)]+)\)", page)
+        assert links and all(link in (*known, "../../LEADERBOARD.md") for link in links), name
+        assert len(page.encode()) < 32_000, name
+
+
+def test_pages_hold_differences_runs_and_their_median(board_of_nine: Report) -> None:
+    name = next(iter(board_of_nine.scenarios))
+    page = board.pages(board_of_nine, matrix(board_of_nine))[board.page_name(name)]
+    for other in ("expert", "expert-tuned", "ff"):
+        assert f"score minus `{other}`'s" in page
+    result = board_of_nine.scenarios[name].results["ppo"]
+    assert sorted(result.scores.values())[2] == result.scores[result.median]
+    assert f"**{result.median} {result.scores[result.median]:.3f}**" in page
+    assert page.count("**") == 2 * len(LEARNED)
+
+
+def test_the_json_of_a_whole_board_is_small(board_of_nine: Report) -> None:
+    text = report.to_json(board_of_nine, "command")
+    json.loads(text, parse_constant=pytest.fail)
+    assert len(text) < 300_000
+    assert max(map(len, text.splitlines())) < 3000, "a line for each policy"
+
+
+@pytest.mark.usefixtures("textbook")
+def test_the_profile_is_small_and_says_what_it_shows(board_of_nine: Report, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    m = matrix(board_of_nine)
+    assert {title: len(methods) for title, methods in profile.panels(m).items()} == {
+        "programmed laws": 9,
+        "learned policies": 9,
+    }
+    for name in ("one.png", "two.png"):
+        profile.draw(m, tmp_path / name)
+    data = (tmp_path / "one.png").read_bytes()
+    assert data == (tmp_path / "two.png").read_bytes()
+    assert len(data) < 100_000
+    assert profile.digest(m).encode() in data
+    other = m._replace(figures={**m.figures, "score": m.figures["score"] * 0.99})
+    assert profile.digest(other) != profile.digest(m)
+
+
+def test_methods_that_do_not_fly_everything_are_not_in_the_profile() -> None:
+    two = scenario({"expert": [near(0.9)], "ppo": [near(0.8)]}, {"ppo": "nominal"})
+    one = scenario({"expert": [near(0.9)]}, config=configure("agile"))
+    result = Report(0, 30, {"nominal": two, "agile": one})
+    assert profile.panels(matrix(result)) == {"programmed laws": ["expert"]}
+
+
+# -- the README and refusals ----------------------------------------------------------------------
+
+
+def test_readme_without_markers_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "README.md").write_text("no place", encoding="utf-8")
+    with pytest.raises(SystemExit):
+        command.main([*QUICK, "--output", str(tmp_path / "out"), "--leaderboard", str(tmp_path)])
+    assert board.BEGIN in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_missing_extra_is_named_before_anything_flies(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(SystemExit):
+        command.main([*QUICK, "--output", str(tmp_path / "out"), "--leaderboard", str(tmp_path)])
+    error = capsys.readouterr().err
+    assert 'pip install "formation-env[plot]"' in error and error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_was_trained_elsewhere_is_in_italics_in_the_readme(board_of_nine: Report) -> None:
+    text = board.extract(board_of_nine)
+    assert [cell.startswith("*") for cell in cells(text, "ppo")] == [k % 2 == 1 for k in range(9)]
+    assert not any("*" in cell for cell in cells(text, "lee"))
+
+
+def test_the_checked_in_board_is_short_and_marked(root: Path) -> None:
+    """What ships, on both pages: what was trained elsewhere is in italics."""
+    text = (root / "LEADERBOARD.md").read_text(encoding="utf-8")
+    assert len(text.encode()) <= 8000
+    assert board.LEGEND in text
+    readme = (
+        (root / "README.md").read_text(encoding="utf-8").split(board.BEGIN)[1].split(board.END)[0]
+    )
+    for row in re.findall(r"^\| `([\w-]+)` \|", readme, re.M):
+        if row not in POLICIES:
+            transfer = [cell.startswith("*") for cell in cells(readme, row)]
+            assert [
+                cell.startswith("*") and not cell.startswith("**") for cell in cells(text, row)
+            ] == (transfer), row
