@@ -267,7 +267,7 @@ def test_scenarios_at_other_levels(tmp_path: Path) -> None:
     [
         (
             ["--policies", "expert,best"],
-            "'best': expected one of 'expert', 'expert-tuned', 'pd', 'hover', 'random'",
+            "'best': expected one of 'expert', 'expert-tuned', 'ff'",
         ),
         (["--policies", "mine.safetensors"], "mine.safetensors: cannot be read: No such file"),
         (["--policies", ""], "'': expected one of"),

@@ -99,7 +99,7 @@ def test_ff_settles_on_a_resting_formation(level: str, seconds: float) -> None:
     """From up to 0.2 m away behind a leader that hovers. Poles at -2 1/s leave 2 % after 3 s; at level
     `reference` the vehicle follows by the paper's tracker, poles at -0.5 1/s. A wrong sign in any of the
     loops leaves much more or crashes."""
-    config = configure("nominal", action=level, trajectory=hover((0.0, 0.0, -2.0)))
+    config = configure("nominal", action=level, trajectory=hover((0.0, 0.0, -2.0)), gust=0.0)
     assert settle(make_policy("ff", config), config, seconds).max() < 0.01
 
 
