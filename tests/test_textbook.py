@@ -17,7 +17,7 @@ from baselines.policies.slot_motion import SlotPlanner, slot_motion
 from baselines.scoring.rollout import fly
 from formation_env import FormationConfig, configure
 from formation_env.core.simulation import Simulation, seeded_key
-from formation_env.physics.quadrotor import GRAVITY, Wrench
+from formation_env.physics.quadrotor import GRAVITY, Body, Wrench, derivative
 from formation_env.task import COLUMNS
 
 NAMES = ("ff", "ff-filter", "lee", "lqr")
@@ -253,6 +253,27 @@ def test_the_regulators_gain_solves_the_riccati_equation(level: str) -> None:
     assert np.abs(residual).max() < 1e-8 * np.abs(P).max()
     assert np.linalg.solve(R, B.T @ P) == pytest.approx(tracker.K, rel=1e-6, abs=1e-9)
     assert np.linalg.eigvalsh(0.5 * (P + P.T)).min() > 0.0
+
+
+@pytest.mark.parametrize("level", ["wrench", "rates"])
+def test_the_linearisation_is_that_of_the_rigid_body(level: str) -> None:
+    """`A x + B u` by the difference of the model's own derivative at hover, one state and input at a time."""
+    config = configure("nominal", action=level)
+    A, B, _, _ = Lqr(config).hover
+    airframe, eps = config.vehicle.airframe(), 1e-6
+
+    def rate(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        q = (1.0, 0.5 * x[6], 0.5 * x[7], 0.0)  # of a small rotation vector
+        body = Body(tuple(x[:3]), tuple(x[3:6]), q, tuple(x[8:]))
+        wrench = Wrench(config.vehicle.mass * GRAVITY + u[0], tuple(u[1:]))
+        d = derivative(body, wrench, (0.0, 0.0, 0.0), config.follower_actuation, airframe)
+        return np.array((*d.p, *d.v, 2.0 * d.q[1], 2.0 * d.q[2], *d.w))
+
+    zero, no = np.zeros(11), np.zeros(4)
+    states = [(rate(eps * e, no) - rate(-eps * e, no)) / (2 * eps) for e in np.eye(11)]
+    inputs = [(rate(zero, eps * e) - rate(zero, -eps * e)) / (2 * eps) for e in np.eye(4)]
+    assert np.array(states).T == pytest.approx(A, abs=1e-6)
+    assert np.array(inputs).T == pytest.approx(B, rel=1e-6, abs=1e-6)
 
 
 @pytest.mark.parametrize("level", ["wrench", "rates"])
