@@ -29,6 +29,7 @@ N, SIZE = CONFIG.followers, CONFIG.layout.size
 # -- observations ---------------------------------------------------------------------------------
 
 
+@pytest.mark.filterwarnings("ignore::baselines.policies.gain_files.UntunedWarning")
 @pytest.mark.parametrize("name", POLICIES)
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_a_number_that_is_none_is_refused_by_name(name: str, value: float) -> None:
@@ -225,6 +226,7 @@ def test_flights_stay_far_from_where_a_virtual_follower_counts_as_lost(scenario:
 # -- arguments ------------------------------------------------------------------------------------
 
 
+@pytest.mark.filterwarnings("ignore::baselines.policies.gain_files.UntunedWarning")
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -301,6 +303,7 @@ def test_options_that_are_refused() -> None:
     assert ExpertTuned(CONFIG, own(CONFIG)).tuned
 
 
+@pytest.mark.filterwarnings("ignore::baselines.policies.gain_files.UntunedWarning")
 def test_unknown_keywords_are_type_errors() -> None:
     for kind in POLICIES.values():
         with pytest.raises(TypeError, match="unexpected keyword argument 'speed'"):

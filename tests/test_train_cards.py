@@ -310,13 +310,13 @@ def test_generalisation_tells_its_policies_apart_from_later_ones(
     text = shipping.transfers_text(shipping.transfers(checkout, 1, episodes=2))
     (checkout / shipping.GENERALISATION).write_text(text)
     facts = guide.gather(checkout)
-    assert [t.policy for t in facts.transfers] == ["expert", "ppo"]
+    assert [t.policy for t in facts.transfers] == ["expert", "ff", "ppo"]
     score = facts.transfers[0].score
     assert 0.5 < score < 1.0 and facts.stale == []
     assert f"| nominal | {score:.3f} (" in guide.readme(facts)
     shipping.ship(run, shipping.Estimate(0.6, 0.4, 0.7, 2), checkout)
     facts = guide.gather(checkout)
-    assert [t.policy for t in facts.transfers] == ["expert"]
+    assert [t.policy for t in facts.transfers] == ["expert", "ff"]
     assert facts.stale == ["ppo-nominal-wrench.safetensors"]
 
 

@@ -12,11 +12,14 @@ import pytest
 pytest.importorskip("tyro")
 pytest.importorskip("cma")
 
+from baselines import make_policy
+from baselines.policies import textbook_tuned
 from baselines.policies.tuned import lawful, own, read
 from baselines.scoring import rollout
 from formation_env import SCENARIOS, configure
 from train.tune_expert import main, options, tuning
 from train.tune_expert.gain_space import PLANNER, REACH, GainSpace
+from train.tune_expert.loop_space import LoopSpace
 from train.tune_expert.options import Options
 from train.tune_expert.search import Candidate, Search, search
 
@@ -61,18 +64,39 @@ def test_every_coordinate_moves_something(action: str) -> None:
     assert space.names[: len(PLANNER)] == PLANNER
 
 
+@pytest.mark.parametrize("action", ["wrench", "rates", "reference"])
+@pytest.mark.parametrize("law", ["ff", "lee", "lqr"])
+def test_every_point_of_a_textbook_laws_space_flies(law: str, action: str) -> None:
+    """Corners included: gains are checked where a policy is made of them, weights have a regulator. The
+    origin is the plain gains, and every coordinate moves one gain alone."""
+    config = configure("nominal", action=action)
+    space, kind = LoopSpace(law, config), textbook_tuned.TUNED[law]
+    size, rng = len(space.names), np.random.default_rng(0)
+    assert space.gains(np.zeros(size), "plain") == pytest.approx(textbook_tuned.LAWS[law].gains())
+    for x in (*rng.choice([-REACH, REACH], (10, size)), rng.uniform(-REACH, REACH, size)):
+        tracker = kind(config, space.gains(x, "plain")).tracker
+        assert all(np.isfinite(np.asarray(g)).all() for g in getattr(tracker, "gains", ()))
+    for i, name in enumerate(space.names):
+        moved = space.gains(0.5 * np.eye(size)[i], "plain")
+        plain = textbook_tuned.LAWS[law].gains()
+        assert [
+            f for f in plain._fields if abs(getattr(moved, f) / getattr(plain, f) - 1) > 1e-9
+        ] == [name]
+
+
 def _hill(distance: float) -> tuple[Search, list[Candidate]]:
     """A search of a hill whose top is `distance` from the own gains in every coordinate."""
     space = GainSpace(configure("nominal", action="reference"))
     top = space.gains(np.full(len(space.names), distance), "zero").document()["planner"]
 
-    def mean_returns(candidates: Any) -> list[float]:
+    def mean_scores(candidates: Any) -> list[float]:
         rows = [[g.document()["planner"][name] for name in PLANNER] for g in candidates]
         goal = np.array([top[name] for name in PLANNER])
         return [-float(np.square(np.log1p(row) - np.log1p(goal)).sum()) for row in rows]
 
     seen: list[Candidate] = []
-    return Search(space, mean_returns, lambda _, generation: seen.extend(generation), 0.5, 3), seen
+    keep: Any = lambda _, generation: seen.extend(generation)  # noqa: E731
+    return Search(space, mean_scores, keep, 0.5, 3, ("zero", "derived")), seen
 
 
 def test_the_search_finds_the_top_of_a_hill_and_restarts_when_it_has() -> None:
@@ -94,12 +118,12 @@ def test_what_is_known_is_not_flown_again() -> None:
 
     def counting(candidates: Any) -> list[float]:
         flown.append(len(candidates))
-        return drive.mean_returns(candidates)
+        return drive.mean_scores(candidates)
 
     def noted(_: str, generation: Any) -> None:
         again.extend(generation)
 
-    resumed = drive._replace(mean_returns=counting, on_generation=noted)
+    resumed = drive._replace(mean_scores=counting, on_generation=noted)
     search(resumed, "zero", 60, [c.value for c in seen[:25]])
     assert again == seen
     assert sum(flown) == 35
@@ -156,10 +180,39 @@ def test_a_small_search_improves_detuned_gains(
     capsys.readouterr()
 
 
+def test_a_textbook_law_is_tuned_by_the_same_search(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Detuned gains become better on seeds not searched; what is written is read and flown."""
+    law = textbook_tuned.LAWS["lee"]
+
+    def slow(**given: float) -> Any:
+        return law.gains(**{"position": 0.5, "velocity": 0.4, **given})
+
+    slow._fields = law.gains._fields  # type: ignore[attr-defined]
+    gains = tmp_path / "gains.json"
+    words = ["--policy", "lee", "--output", f"{tmp_path / 'a'}", "--gains", f"{gains}"]
+    with monkeypatch.context() as patch:
+        patch.setitem(textbook_tuned.LAWS, "lee", law._replace(gains=slow))
+        monkeypatch.setattr(options, "configure", lambda s, **o: configure(s, duration=6.0, **o))
+        assert main([*TINY, *words]) == 0
+    assert (tmp_path / "a" / "lee-nominal-wrench.json").exists()
+    ((key, found),) = textbook_tuned.read("lee", gains).items()
+    assert key == ("nominal", "wrench")
+    config = configure("nominal", duration=6.0)
+    better, before = (
+        rollout.fly_all(textbook_tuned.LeeTuned(config, g), range(400_000, 400_008))["score"]
+        for g in (found, slow())
+    )
+    assert better.mean() > before.mean() + 0.02
+    capsys.readouterr()
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["--scenario", "moon"], "scenario = 'moon': expected one of"),
+        (["--policy", "pid"], "policy = 'pid': expected one of expert, ff, lee, lqr"),
         (["--action", "yaw"], "action = 'yaw': expected one of"),
         (["--feedforward", "some"], "feedforward = 'some': expected one of both"),
         (["--episodes", "0"], "episodes = 0: expected an integer"),
@@ -221,12 +274,12 @@ def test_gains_that_overflow_are_the_worst(monkeypatch: pytest.MonkeyPatch) -> N
 
         monkeypatch.setattr(rollout, "fly", fly)
 
-    policy = tuning.ExpertTuned(configure("nominal"))
+    policy = make_policy("expert", configure("nominal"))
     refuse("action of follower_1 of world 7 = [nan]: expected finite numbers")
-    assert tuning.mean_return(policy, range(2)) == -1e3
+    assert tuning.mean_score(policy, range(2)) == -1.0
     refuse("something else")
     with pytest.raises(ValueError, match="something else"):
-        tuning.mean_return(policy, range(2))
+        tuning.mean_score(policy, range(2))
 
 
 def test_options_are_checked_by_their_own_names() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from baselines import make_policy
+from baselines.policies import textbook_tuned
 from baselines.policies.expert import Expert
 from baselines.policies.tuned import ExpertTuned, Gains, UntunedWarning, lawful, own, read
 from baselines.scoring.rollout import fly
@@ -214,3 +215,60 @@ def test_a_name_that_stands_twice_is_refused(tmp_path: Path, document: dict[str,
     path.write_text(f'{{"version": 1, "gains": {{"nominal": {gains}, "nominal": {gains}}}}}')
     with pytest.raises(ValueError, match=r"gains.json: .*'nominal'.*every name once"):
         read(path)
+
+
+# -- the textbook's laws --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("law", textbook_tuned.LAWS)
+def test_a_textbook_law_without_gains_flies_the_plain_ones_and_says_so(law: str) -> None:
+    with warnings.catch_warnings():  # of the paper's own pair, see `configure`
+        warnings.simplefilter("ignore", FeasibilityWarning)
+        config = replace(configure("nominal"), scenario="mine")
+    kind = textbook_tuned.TUNED[law]
+    with pytest.warns(UntunedWarning, match=f"{law}-tuned: no gains .* 'mine' .*; the plain ones"):
+        policy = kind(config)
+    assert not policy.tuned
+    plain, given = make_policy(law, config), kind(config, textbook_tuned.LAWS[law].gains())
+    assert given.tuned
+    simulation = Simulation(config, 2)
+    for i in range(2):
+        simulation.seed(i, seeded_key(i))
+    rows = simulation.reset().observations
+    for each in (policy, given):
+        assert np.array_equal(each.act(rows), plain.act(rows))
+
+
+@pytest.mark.parametrize("law", textbook_tuned.LAWS)
+def test_shipped_gains_of_a_textbook_law_can_be_flown(law: str) -> None:
+    for (scenario, action), gains in textbook_tuned.read(
+        law, textbook_tuned.LAWS[law].file
+    ).items():
+        policy = textbook_tuned.TUNED[law](configure(scenario, action=action))
+        assert policy.tuned and isinstance(gains, textbook_tuned.LAWS[law].gains)
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ({"gains": {}}, r"nominal.wrench: gains = \[\]: expected also attitude"),
+        ({"gains": {"k9": 1.0}}, r"nominal.wrench: gains = \['k9'\]: expected only position"),
+        ({"planner": {}}, r"nominal.wrench: entry = \['planner'\]: expected only gains"),
+        ({"gains": 3}, r"nominal.wrench: gains = 3: expected an object"),
+    ],
+)
+def test_a_wrong_file_of_a_textbook_laws_gains_is_refused(
+    tmp_path: Path, entry: dict[str, Any], message: str
+) -> None:
+    path = tmp_path / "ff.json"
+    document = {"version": 1, "gains": {"nominal": {"wrench": {**entry, "made": {}}}}}
+    path.write_text(json.dumps(document))
+    with pytest.raises(ValueError, match=message) as refused:
+        textbook_tuned.read("ff", path)
+    assert str(refused.value).startswith(str(path))
+    plain = textbook_tuned.LAWS["ff"].gains()._asdict()
+    for name, value in (("rate", -1.0), ("upwards", 9.81), ("position", "4")):
+        bad = {"gains": {**plain, name: value}, "made": {}}
+        path.write_text(json.dumps({"version": 1, "gains": {"nominal": {"wrench": bad}}}))
+        with pytest.raises(ValueError, match=f"nominal.wrench: gains.{name} = "):
+            textbook_tuned.read("ff", path)

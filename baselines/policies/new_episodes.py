@@ -162,7 +162,8 @@ def compare(rows: Rows, notes: Rows, m: Motion, began: NDArray[np.bool_]) -> int
         flies = rows[w, 0, _PREVIOUS] != 0.0 or notes[w, _STARTED] != notes[w, _STARTED]
         if not flies and _all_at_rest(rows[w]):
             before, now = _read(notes[w]), _read(rows[w, 0])
-            acted, waits = not _at_rest(before), before.started <= 0.5
+            # A world whose trigger fires just now has flown: an episode begins before it.
+            acted, waits = not _at_rest(before), now.started <= 0.5
             began[w] = _began(before, now, m) or (acted and waits)
             if began[w]:
                 found |= NEW

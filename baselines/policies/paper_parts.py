@@ -23,7 +23,7 @@ from formation_env.laws.planner import Virtual, advance, place, scaled
 from formation_env.laws.world import track
 from formation_env.maths.elementary import phase
 from formation_env.maths.so3 import ZERO, Vector
-from formation_env.memory.records import flatten, line_loader, line_storer, size, slices
+from formation_env.memory.records import at, flatten, line_loader, line_storer, size, slices
 from formation_env.paths.references import TrajectoryPoint
 from formation_env.physics.quadrotor import Wrench
 from formation_env.validation.checks import choice
@@ -40,6 +40,7 @@ class Followed(NamedTuple):
     started: bool  # whether the trigger (40) has fired
 
 
+_WAITS = at(Virtual, "p")  # NaN there: a virtual follower that waits for its start
 _read_followed, _read_virtual = line_loader(Followed), line_loader(Virtual)
 _read_motion, _read_point = line_loader(tracker.Motion), line_loader(TrajectoryPoint)
 _store_virtual, _store_point = line_storer(Virtual), line_storer(TrajectoryPoint)
@@ -61,7 +62,7 @@ def _plan(
     for i in range(len(given)):
         m = _read_followed(given[i])
         leader = TrajectoryPoint(m.p, m.v, m.a, ZERO, ZERO)
-        if memory[i, 0] != memory[i, 0]:
+        if memory[i, _WAITS] != memory[i, _WAITS]:
             _store_virtual(memory[i], place(m.p, m.v, m.offset, m.heading, m.started))
         f = _read_virtual(memory[i])
         _store_point(points[i], point_of(f, leader, m.offset, m.started, law, derived))
@@ -71,7 +72,7 @@ def _plan(
         _store_vector(after[i], (v.real, v.imag, f.w))
         _store_virtual(memory[i], f)
         if not in_reach(f):
-            memory[i, 0] = np.nan
+            memory[i, _WAITS] = np.nan
 
 
 @kernel

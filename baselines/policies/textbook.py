@@ -25,7 +25,7 @@ class Ff(Composed):
 
 @final
 class FfFilter(Composed):
-    """`ff` on steady-state Kalman filters of what is measured; it remembers them, for each world."""
+    """`ff` on Kalman filters of what is measured; it remembers them, for each world."""
 
     name = "ff-filter"
 

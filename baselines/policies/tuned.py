@@ -8,40 +8,29 @@ tracker that flies the follower, belong to the world and keep the configuration'
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import dataclass, fields
 from functools import lru_cache
-from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.files import located
 from baselines.policies.base import Policy, Rows
 from baselines.policies.expert import Expert
-from baselines.system.reading import file_name, read_bytes
+from baselines.policies.gain_files import FOLDER, Table, as_object, read_table, warn_untuned
+from baselines.policies.gain_files import UntunedWarning as UntunedWarning
 from formation_env import FormationConfig, configure
 from formation_env.laws.gains import PlannerGains, TrackerGains
-from formation_env.laws.levels import NAMES as LEVEL_NAMES
 from formation_env.physics.quadrotor import MOMENT, RATES
-from formation_env.validation.checks import choice, refuse, require, shown
-from formation_env.validation.warning import warn_user
+from formation_env.validation.checks import choice, refuse, require
 
-GAINS = Path(__file__).parent.parent / "tuned_gains.json"
-VERSION = 1  # of the file's format
+GAINS = FOLDER / "tuned_gains.json"
 
 FEEDFORWARDS = ("zero", "derived")
 _PLANNER = tuple(f.name for f in fields(PlannerGains))
 # `p12` and `p22` follow from the others (59).
 _TRACKER = tuple(f.name for f in fields(TrackerGains) if f.name not in ("p12", "p22"))
-
-Table = dict[tuple[str, str], "Gains"]
-
-
-class UntunedWarning(UserWarning):
-    """No gains were found for this scenario and action level: the configuration's own fly."""
 
 
 @final
@@ -99,72 +88,28 @@ def lawful(config: FormationConfig, gains: Gains) -> FormationConfig:
 # -- the file -------------------------------------------------------------------------------------
 
 
-def read(path: str | os.PathLike[str] = GAINS) -> Table:
+def read(path: str | os.PathLike[str] = GAINS) -> Table[Gains]:
     """The gains in a file by scenario and action level.
 
     Raises `ValueError` naming the file and what in it is not as expected: no regular file, not JSON,
     another version, a gain too many, missing, not finite or against a condition of the paper.
     """
-    path = file_name(path)
-    try:
-        text = read_bytes(path).decode("utf-8")
-        document = json.loads(text, object_pairs_hook=_named_once)
-        return {
-            (scenario, action): _gains(entry, f"{scenario}.{action}", action)
-            for scenario, actions in _entries(document).items()
-            for action, entry in _object(actions, scenario).items()
-        }
-    except OSError as problem:
-        raise ValueError(located(path, f"{problem.strerror}; expected a file of gains")) from None
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as problem:
-        reason = "nested too deep" if isinstance(problem, RecursionError) else problem
-        raise ValueError(located(path, f"{reason}; expected JSON")) from None
-    except ValueError as problem:
-        raise ValueError(located(path, problem)) from None
+    return read_table(path, _gains)
 
 
-def _named_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object no name of which stands twice, where JSON would silently keep the last."""
-    named = dict(pairs)
-    twice = sorted({name for name, _ in pairs if sum(name == other for other, _ in pairs) > 1})
-    require(len(named) == len(pairs), "object", twice, "every name once")
-    return named
-
-
-def _object(value: Any, where: str, names: tuple[str, ...] | None = None) -> dict[str, Any]:
-    """`value` as a JSON object, with exactly these names where given."""
-    require(isinstance(value, dict), where, value, "an object")
-    if names is not None:
-        unknown, missing = sorted(set(value) - set(names)), sorted(set(names) - set(value))
-        require(not unknown, where, unknown, f"only {', '.join(names)}")
-        require(not missing, where, sorted(value), f"also {', '.join(missing)}")
-    return dict(value)
-
-
-def _entries(document: Any) -> dict[str, Any]:
-    whole = _object(document, "the file", ("version", "gains"))
-    require(whole["version"] == VERSION, "version", whole["version"], f"{VERSION}")
-    return _object(whole["gains"], "gains")
-
-
-def _gains(entry: Any, where: str, action: str) -> Gains:
-    try:
-        e = _object(entry, "entry", ("planner", "tracker", "feedforward", "made"))
-        require(action in LEVEL_NAMES, "action level", action, f"one of {', '.join(LEVEL_NAMES)}")
-        planner = PlannerGains(**_object(e["planner"], "planner", _PLANNER))
-        tracker = None
-        if action == "reference":
-            require(e["tracker"] is None, "tracker", e["tracker"], "null: the environment's flies")
-        else:
-            tracker = TrackerGains(**_object(e["tracker"], "tracker", _TRACKER))
-        _object(e["made"], "made")
-        return Gains(planner, tracker, e["feedforward"])
-    except ValueError as problem:
-        raise ValueError(f"{where}: {problem}") from None
+def _gains(entry: dict[str, Any], action: str) -> Gains:
+    e = as_object(entry, "entry", ("planner", "tracker", "feedforward"))
+    planner = PlannerGains(**as_object(e["planner"], "planner", _PLANNER))
+    tracker = None
+    if action == "reference":
+        require(e["tracker"] is None, "tracker", e["tracker"], "null: the environment's flies")
+    else:
+        tracker = TrackerGains(**as_object(e["tracker"], "tracker", _TRACKER))
+    return Gains(planner, tracker, e["feedforward"])
 
 
 @lru_cache(maxsize=1)
-def _shipped() -> Table:
+def _shipped() -> Table[Gains]:
     return read()
 
 
@@ -189,11 +134,7 @@ class ExpertTuned(Policy):
         found = gains or _shipped().get((config.scenario, config.action))
         self.tuned = found is not None
         if found is None:
-            warn_user(
-                f"expert-tuned: no gains were found for scenario {shown(config.scenario)} at action level "
-                f"{config.action!r}; the configuration's own fly",
-                UntunedWarning,
-            )
+            warn_untuned(self.name, config, "the configuration's own")
         self.gains = found or own(config)
         try:
             law = lawful(config, self.gains)

@@ -170,7 +170,7 @@ class Transfer(NamedTuple):
     failed: float  # part of the episodes
 
 
-COMPARED = ("expert",)  # programmed policies that are scored beside the learned ones
+COMPARED = ("expert", "ff")  # programmed policies that are scored beside the learned ones
 # Formations that no scenario has, flown on `USUAL`'s trajectory.
 OFFSETS = {
     "three abreast": formations.line(3),

@@ -1,13 +1,13 @@
-"""Find gains for the paper's laws: `python -m train.tune_expert --scenario paper`.
+"""Find gains for a law: `python -m train.tune_expert --scenario paper`, `... --policy lee`.
 
-CMA-ES (pycma) searches the gains of the follower's planner and tracker for the largest mean return
-over training seeds, the same ones for every candidate; failures count by their returns. It starts from the
-configuration's own gains, and every candidate satisfies the paper's conditions
-(`train.tune_expert.gain_space`). The candidates with the largest returns, and the own gains, then fly
-validation seeds, and the best of those is the result. The leaderboard's seeds are not used.
+CMA-ES (pycma) searches the gains of the paper's planner and tracker, or of a textbook's law, for the
+largest mean score over training seeds, the same ones for every candidate. It starts from the plain gains,
+and every candidate satisfies the law's conditions (`train.tune_expert.gain_space`, `loop_space`). Whatever
+the law, it has as many candidates. Those with the largest scores, and the plain gains, then fly validation
+seeds, and the best of those is the result. The leaderboard's seeds are not used.
 
 Results do not depend on the number of threads, and the same options give the same gains. The journal,
-`OUTPUT/SCENARIO-ACTION.json`, has the returns so far; after an interruption `--resume` repeats the search
+`OUTPUT/SCENARIO-ACTION.json`, has the scores so far; after an interruption `--resume` repeats the search
 from it, without flying those candidates again.
 """
 
@@ -58,5 +58,5 @@ def main(arguments: Sequence[str] | None = None) -> int:
     console.say(
         f"score {gain.value:+.4f} ({gain.low:+.4f} .. {gain.high:+.4f}) beside the expert's"
     )
-    console.say(json.dumps(best.gains.document(), indent=1))
+    console.say(json.dumps(options.tunable.document(best.gains), indent=1))
     return 0

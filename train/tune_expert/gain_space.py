@@ -40,7 +40,7 @@ def _logit(share: float) -> float:
     return log(share / (1.0 - share))
 
 
-def _share(own_share: float, x: float) -> float:
+def share(own_share: float, x: float) -> float:
     """A share in (0, 1) that grows with `x` and is the own one at zero."""
     return 1.0 / (1.0 + exp(-_logit(own_share) - x))
 
@@ -76,7 +76,7 @@ class GainSpace:
             base.kz1 * exp(at["kz1"]),
             base.kz2 * exp(at["kz2"]),
             base.p_max * exp(at["p_max"]),
-            room * _share(base.z_max / room, at["z_max"]),
+            room * share(base.z_max / room, at["z_max"]),
         )
 
     def _kept_sigma(self) -> float:
@@ -97,6 +97,6 @@ class GainSpace:
         own_share = base.p11 * base.k1 / base.k2**2
         return TrackerGains(
             **near,
-            sigma_max=room * _share(base.sigma_max / before, at["tracker.sigma_max"]),
-            p11=most * _share(own_share, at["tracker.p11"]),
+            sigma_max=room * share(base.sigma_max / before, at["tracker.sigma_max"]),
+            p11=most * share(own_share, at["tracker.p11"]),
         )

@@ -16,7 +16,6 @@ from baselines.system.reading import read_bytes
 from baselines.system.writing import write_text
 from formation_env import FormationConfig
 from train.seeds import TUNING_SEEDS
-from train.tune_expert.gain_space import GainSpace
 from train.tune_expert.options import FREE_ON_RESUME, SCRIPT, Options
 from train.tune_expert.search import Candidate
 
@@ -25,10 +24,11 @@ _WRITING_INTERVAL = 5.0  # s, at least, between two writings of the file
 
 @final
 class Journal:
-    """The returns of all candidates flown so far, in one file that is written whole or not at all."""
+    """The scores of all candidates flown so far, in one file that is written whole or not at all."""
 
     def __init__(self, path: Path, options: Options, config: FormationConfig) -> None:
-        self._path, self._space = path, GainSpace(config)
+        self._path, self._tunable = path, options.tunable
+        self._space = self._tunable.space(config)
         fixed = {k: v for k, v in asdict(options).items() if k not in FREE_ON_RESUME}
         self._head: dict[str, Any] = {
             "command": options.command(),
@@ -40,7 +40,7 @@ class Journal:
         self.candidates: dict[str, list[Candidate]] = {}
 
     def recorded(self) -> dict[str, list[float]]:
-        """The mean returns in the file, by feedforward. Raises `ValueError` if it is of another search."""
+        """The mean scores in the file, by choice. Raises `ValueError` if it is of another search."""
         try:
             before = json.loads(read_bytes(self._path).decode("utf-8"))
             options, package, values = before["options"], before["package"], before["values"]
@@ -59,27 +59,27 @@ class Journal:
                 )
         return recorded
 
-    def add(self, feedforward: str, generation: Sequence[Candidate]) -> None:
+    def add(self, choice: str, generation: Sequence[Candidate]) -> None:
         """Add a generation; the file is written if the last time is seconds ago."""
-        self.candidates.setdefault(feedforward, []).extend(generation)
+        self.candidates.setdefault(choice, []).extend(generation)
         if time.monotonic() - self._written > _WRITING_INTERVAL:
             self.write(None)
 
-    def best(self, feedforward: str, count: int) -> list[Candidate]:
-        """The `count` candidates with the largest returns, no two equal; of equal returns the first."""
-        ordered = sorted(self.candidates[feedforward], key=lambda c: -c.value)
+    def best(self, choice: str, count: int) -> list[Candidate]:
+        """The `count` candidates with the largest scores, no two equal; of equal scores the first."""
+        ordered = sorted(self.candidates[choice], key=lambda c: -c.value)
         return list(dict.fromkeys(ordered))[:count]
 
     def write(self, result: dict[str, Any] | None) -> None:
-        """Write the file: returns in the order flown, the best gains so far, and the result."""
+        """Write the file: scores in the order flown, the best gains so far, and the result."""
         flown = [c for each in self.candidates.values() for c in each]
         best = max(flown, key=lambda c: c.value)
         document = {
             **self._head,
             "evaluations": len(flown),
             "best_by_training": {
-                "return": best.value,
-                **self._space.gains(np.array(best.x), best.feedforward).document(),
+                "score": best.value,
+                **self._tunable.document(self._space.gains(np.array(best.x), best.choice)),
             },
             "result": result,
             "values": {name: [c.value for c in each] for name, each in self.candidates.items()},

@@ -13,6 +13,7 @@ from formation_env.validation.checks import integer, number, require
 from train.command_line import SCRIPTS
 from train.options import defaults, repeating_command
 from train.seeds import MOST_TUNING_EPISODES
+from train.tune_expert.tunables import TUNABLES, Tunable
 
 SCRIPT = SCRIPTS["train.tune_expert"]
 # Options that may differ where a search is continued.
@@ -22,17 +23,20 @@ FREE_ON_RESUME = ("resume", "threads", "quiet", "output", "gains", "evaluations"
 @final
 @dataclass(frozen=True)
 class Options:
-    """Search gains for the paper's laws with CMA-ES, on seeds of its own.
+    """Search gains for a law with CMA-ES, on seeds of its own.
 
     Results do not depend on the number of threads.
     """
 
+    policy: str = "expert"
+    """Policy whose gains are searched: expert, ff, lee or lqr."""
     scenario: str = "nominal"
     """Name of the scenario that gains are searched for: nominal, paper, experiment, agile or swarm."""
     action: str | None = None
     """Name of an action level; by default the scenario's own."""
     feedforward: str = "both"
-    """How the third and fourth derivatives of the reference are taken: zero, derived, or both tried."""
+    """How the third and fourth derivatives of the reference are taken: zero, derived, or both tried.
+    For the expert alone."""
     episodes: int = 64
     """Number of training episodes that every candidate flies, all on the same seeds."""
     evaluations: int = 2000
@@ -47,9 +51,11 @@ class Options:
     seed: int = 1
     """Seed of the random numbers that CMA-ES draws; episodes have seeds of their own."""
     output: Path = field(default_factory=lambda: Path("runs/tune"))
-    """Folder for the journal, SCENARIO-ACTION.json; made if it is not there."""
+    """Folder for the journal, SCENARIO-ACTION.json, of others than the expert POLICY-SCENARIO-ACTION.json;
+    made if it is not there."""
     gains: Path | None = None
-    """File of gains that the result is written into, such as baselines/tuned_gains.json; by default none."""
+    """File of gains that the result is written into, such as baselines/tuned_gains.json for the expert or
+    baselines/tuned_gains_lee.json for lee; by default none."""
     resume: bool = False
     """Continue the search whose journal is in the output folder.
     Only evaluations, gains, threads and quiet may differ from the options that it was begun with."""
@@ -60,6 +66,8 @@ class Options:
 
     def check(self) -> FormationConfig:
         """The configuration searched. Raises `ValueError` naming the option that is wrong."""
+        known = self.policy in TUNABLES
+        require(known, "policy", self.policy, f"one of {', '.join(TUNABLES)}")
         config = configure(self.scenario)
         if self.action is not None:
             config = configure(self.scenario, action=self.action)
@@ -76,10 +84,13 @@ class Options:
         return config
 
     def choices(self, config: FormationConfig) -> tuple[str, ...]:
-        """The feedforwards that are tried; at level `reference` the expert has none."""
-        if config.action == "reference":
-            return ("zero",)
-        return FEEDFORWARDS if self.feedforward == "both" else (self.feedforward,)
+        """What is searched one after the other, sharing the candidates: for the expert the feedforwards."""
+        return self.tunable.choices(config, self.feedforward)
+
+    @property
+    def tunable(self) -> Tunable:
+        """What is searched."""
+        return TUNABLES[self.policy]
 
     def command(self) -> str:
         """The command that repeats the result, without the options that do not change it."""

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.policies.tuned import FEEDFORWARDS, Gains
-from train.tune_expert.gain_space import REACH, GainSpace
+from train.tune_expert.gain_space import REACH
+from train.tune_expert.tunables import Space
 
 Point = NDArray[np.float64]
 
@@ -22,30 +22,31 @@ class Candidate(NamedTuple):
     """A point of the gain space that has been flown."""
 
     x: tuple[float, ...]
-    feedforward: str
-    value: float  # mean return on the training seeds
+    choice: str  # of the tunable: for the expert a feedforward
+    value: float  # mean score on the training seeds
 
 
 class Search(NamedTuple):
     """What a search is made of."""
 
-    space: GainSpace
-    mean_returns: Callable[[Sequence[Gains]], list[float]]  # flies candidates
+    space: Space
+    mean_scores: Callable[[Sequence[Any]], list[float]]  # flies candidates
     on_generation: Callable[[str, Sequence[Candidate]], None]  # called after every generation
     spread: float  # standard deviation of the first generation, in units of the space
     seed: int
+    choices: tuple[str, ...]  # all that there are: each has random numbers of its own
 
 
-def search(s: Search, feedforward: str, budget: int, recorded: Sequence[float]) -> None:
-    """CMA-ES from the configuration's own gains with `budget` candidates, the first of them those gains.
+def search(s: Search, choice: str, budget: int, recorded: Sequence[float]) -> None:
+    """CMA-ES from the plain gains with `budget` candidates, the first of them those gains.
 
     Where it has converged before, it starts again with twice as many candidates a generation (IPOP).
     `recorded` are the values of the first candidates, from a journal: they are not flown again.
     """
-    rng = np.random.default_rng((s.seed, FEEDFORWARDS.index(feedforward)))
+    rng = np.random.default_rng((s.seed, s.choices.index(choice)))
     remaining, left = list(recorded), budget
     own_point = np.zeros(len(s.space.names))
-    left -= _generation(s, feedforward, [own_point], remaining)
+    left -= _generation(s, choice, [own_point], remaining)
     size_factor = 1
     while left > 0:
         strategy = _strategy(s, rng, size_factor)
@@ -53,7 +54,7 @@ def search(s: Search, feedforward: str, budget: int, recorded: Sequence[float]) 
             points = strategy.ask()[: max(left, 0)]
             full = len(points) == strategy.popsize
             values: list[float] = []
-            left -= _generation(s, feedforward, points, remaining, values)
+            left -= _generation(s, choice, points, remaining, values)
             if full:  # the budget may cut off the last generation
                 strategy.tell(points, [-v for v in values])
         size_factor *= 2
@@ -70,7 +71,7 @@ def _strategy(s: Search, rng: np.random.Generator, size_factor: int) -> Any:
         # Its own stream: nothing is drawn from NumPy's global state.
         "seed": np.nan,
         "randn": lambda *shape: rng.standard_normal(shape),
-        "tolfun": 1e-7,  # smaller differences of returns do not count
+        "tolfun": 1e-7,  # smaller differences of scores do not count
         "tolx": 1e-4,
         "verbose": -10,  # also keeps pycma from reading a file of signals
         "verb_log": 0,
@@ -81,7 +82,7 @@ def _strategy(s: Search, rng: np.random.Generator, size_factor: int) -> Any:
 
 def _generation(
     s: Search,
-    feedforward: str,
+    choice: str,
     points: Sequence[Point],
     recorded: list[float],
     values: list[float] | None = None,
@@ -89,12 +90,12 @@ def _generation(
     """Fly the points, or take their values from `recorded`; returns how many there were."""
     old = recorded[: len(points)]
     del recorded[: len(points)]
-    new = s.mean_returns([s.space.gains(x, feedforward) for x in points[len(old) :]])
+    new = s.mean_scores([s.space.gains(x, choice) for x in points[len(old) :]])
     both = [*old, *new]
     s.on_generation(
-        feedforward,
+        choice,
         [
-            Candidate(tuple(map(float, x)), feedforward, value)
+            Candidate(tuple(map(float, x)), choice, value)
             for x, value in zip(points, both, strict=True)
         ],
     )

@@ -13,7 +13,7 @@ import numpy as np
 import formation_env
 from baselines import make_policy
 from baselines.policies.base import Policy
-from baselines.policies.tuned import VERSION, ExpertTuned, Gains, own, read
+from baselines.policies.gain_files import VERSION
 from baselines.scoring.intervals import Estimate
 from baselines.scoring.results import Result, judge
 from baselines.scoring.rollout import fly_all
@@ -21,18 +21,18 @@ from baselines.system.progress import compiling
 from baselines.system.writing import claim, write_text
 from formation_env import FormationConfig
 from train.seeds import TUNING_SEEDS, TUNING_VALIDATION_SEEDS
-from train.tune_expert.gain_space import GainSpace
 from train.tune_expert.journal import Journal
 from train.tune_expert.options import Options
 from train.tune_expert.search import Candidate, Search, search
+from train.tune_expert.tunables import Tunable
 
-_OVERFLOWED = -1e3  # the return of gains with which the law leaves the range of numbers
+_OVERFLOWED = -1.0  # the score of gains with which the law leaves the range of numbers
 
 
-def mean_return(policy: Policy, seeds: range) -> float:
-    """Mean return over the seeds; `_OVERFLOWED` where it is no number."""
+def mean_score(policy: Policy, seeds: range) -> float:
+    """Mean score over the seeds; `_OVERFLOWED` where it is no number."""
     try:
-        value = float(fly_all(policy, seeds)["return"].mean())
+        value = float(fly_all(policy, seeds)["score"].mean())
     except ValueError as problem:
         if "expected finite numbers" not in str(problem):
             raise
@@ -44,17 +44,21 @@ def mean_return(policy: Policy, seeds: range) -> float:
 
 
 class BestGains(NamedTuple):
-    """The gains with the largest mean return on the validation seeds, and their result there."""
+    """The gains with the largest mean score on the validation seeds, and their result there."""
 
-    gains: Gains
+    gains: Any
     result: Result
 
 
 def validate(
-    config: FormationConfig, finalists: Sequence[Gains], seeds: range, pool: ThreadPoolExecutor
+    config: FormationConfig,
+    tunable: Tunable,
+    finalists: Sequence[Any],
+    seeds: range,
+    pool: ThreadPoolExecutor,
 ) -> BestGains:
     """The finalist with the largest mean score over the seeds, the first where equal."""
-    policies = [ExpertTuned(config, gains) for gains in finalists]
+    policies = [tunable.policy(config, gains) for gains in finalists]
     own_law = make_policy("expert", config)
     expert, *columns = pool.map(lambda p: fly_all(p, seeds), [own_law, *policies])
     best = max(range(len(columns)), key=lambda i: columns[i]["score"].mean())
@@ -81,11 +85,13 @@ def provenance(options: Options, best: BestGains) -> dict[str, Any]:
     }
 
 
-def write_gains(path: Path, scenario: str, action: str, entry: dict[str, Any]) -> None:
+def write_gains(
+    tunable: Tunable, path: Path, scenario: str, action: str, entry: dict[str, Any]
+) -> None:
     """Write an entry into a file of gains, which is made if it is not there."""
     gains: dict[str, dict[str, Any]] = {}
     if path.exists():
-        read(path)  # a broken file is refused, not overwritten
+        tunable.read(path)  # a broken file is refused, not overwritten
         gains = json.loads(path.read_text(encoding="utf-8"))["gains"]
     gains.setdefault(scenario, {})[action] = entry
     document = {"version": VERSION, "gains": gains}
@@ -95,9 +101,9 @@ def write_gains(path: Path, scenario: str, action: str, entry: dict[str, Any]) -
 def tune(options: Options) -> BestGains:
     """The whole search. Raises `ValueError` for wrong options, before anything is written."""
     config = options.check()
-    path = options.output / f"{config.scenario}-{config.action}.json"
+    path = options.output / f"{options.tunable.stem(config)}.json"
     if options.gains is not None and options.gains.exists():
-        read(options.gains)
+        options.tunable.read(options.gains)
     if options.resume:
         Journal(path, options, config).recorded()  # refused before a folder is made
     with claim(options.output):
@@ -110,10 +116,10 @@ def _searched(options: Options, config: FormationConfig, journal: Journal, path:
     if path.exists() and not options.resume:
         raise ValueError(f"{path} exists: expected --resume to go on with it, or another --output")
     best = _run(options, config, journal, recorded)
-    entry = {**best.gains.document(), "made": provenance(options, best)}
+    entry = {**options.tunable.document(best.gains), "made": provenance(options, best)}
     journal.write(entry)
     if options.gains is not None:
-        write_gains(options.gains, config.scenario, config.action, entry)
+        write_gains(options.tunable, options.gains, config.scenario, config.action, entry)
     return best
 
 
@@ -123,54 +129,53 @@ def _run(
     """Fly and validate candidates; the journal is written, whatever ends the search."""
     from tqdm import tqdm
 
-    space, choices = GainSpace(config), options.choices(config)
+    tunable, choices = options.tunable, options.choices(config)
+    space, all_choices = tunable.space(config), tunable.choices(config, "both")
     seeds = range(TUNING_SEEDS, TUNING_SEEDS + options.episodes)
     share = max(1, options.evaluations // len(choices))
     # Before the threads start, since the first flight compiles; and the own gains have to fly.
     with compiling(options.quiet):
-        hover = mean_return(make_policy("hover", config), seeds)
-        own_return = mean_return(make_policy("expert", config), seeds)
+        mean_score(make_policy(tunable.name, config), seeds)
     with (
         ThreadPoolExecutor(options.threads, thread_name_prefix="tune") as pool,
         tqdm(total=share * len(choices), disable=options.quiet, unit=" candidates") as bar,
     ):
 
-        def mean_returns(candidates: Sequence[Gains]) -> list[float]:
+        def mean_scores(candidates: Sequence[Any]) -> list[float]:
             # Made here, not in the threads: silencing warnings, as `configure` does, is not thread-safe.
-            policies = [ExpertTuned(config, gains) for gains in candidates]
-            return list(pool.map(lambda policy: mean_return(policy, seeds), policies))
+            policies = [tunable.policy(config, gains) for gains in candidates]
+            return list(pool.map(lambda policy: mean_score(policy, seeds), policies))
 
-        def on_generation(feedforward: str, generation: Sequence[Candidate]) -> None:
-            journal.add(feedforward, generation)
+        def on_generation(choice: str, generation: Sequence[Candidate]) -> None:
+            journal.add(choice, generation)
             bar.update(len(generation))
-            best = journal.best(feedforward, 1)[0].value
-            score = (best - hover) / (own_return - hover) if own_return != hover else float("nan")
-            bar.set_description_str(f"{feedforward}: score {score:.3f}", refresh=False)
+            best = journal.best(choice, 1)[0].value
+            bar.set_description_str(f"{choice}: score {best:.4f}", refresh=False)
 
         try:
             for choice in choices:
-                settings = Search(space, mean_returns, on_generation, options.spread, options.seed)
+                flown = (mean_scores, on_generation, options.spread, options.seed)
+                settings = Search(space, *flown, all_choices)
                 search(settings, choice, share, recorded.get(choice, ()))
         except BaseException:
             pool.shutdown(cancel_futures=True)
             if journal.candidates:
                 journal.write(None)
             raise
-        return validate(
-            config, _finalists(options, config, journal), _validation_seeds(options), pool
-        )
+        finalists, validation = _finalists(options, config, journal), _validation_seeds(options)
+        return validate(config, tunable, finalists, validation, pool)
 
 
 def _validation_seeds(options: Options) -> range:
     return range(TUNING_VALIDATION_SEEDS, TUNING_VALIDATION_SEEDS + options.validation)
 
 
-def _finalists(options: Options, config: FormationConfig, journal: Journal) -> list[Gains]:
-    """The configuration's own gains, then those with the largest returns on the training seeds."""
-    space = GainSpace(config)
+def _finalists(options: Options, config: FormationConfig, journal: Journal) -> list[Any]:
+    """The plain gains, then those with the largest scores on the training seeds."""
+    space = options.tunable.space(config)
     best = [
-        space.gains(np.array(c.x), c.feedforward)
+        space.gains(np.array(c.x), c.choice)
         for choice in options.choices(config)
         for c in journal.best(choice, options.finalists)
     ]
-    return [own(config), *best]
+    return [options.tunable.own(config), *best]

@@ -1,0 +1,98 @@
+"""`ff`, `lee` and `lqr` with gains found by the search that finds the expert's.
+
+The gains are those of `baselines/tuned_gains_ff.json` and so on, one set for each scenario and action level,
+found by `python -m train.tune_expert --policy ff`.
+"""
+
+from __future__ import annotations
+
+import os
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple, final
+
+from baselines.policies.cascade import Feedforward, LoopGains
+from baselines.policies.composed import Composed
+from baselines.policies.gain_files import FOLDER, Table, as_object, read_table, warn_untuned
+from baselines.policies.lee import Lee
+from baselines.policies.lqr import Lqr, LqrWeights
+from baselines.policies.slot_motion import SlotPlanner
+from formation_env import FormationConfig
+from formation_env.configuration.parts import part
+
+
+class Law(NamedTuple):
+    """A law whose gains can be searched."""
+
+    tracker: Any  # made with the configuration and gains
+    gains: Any  # the record of its gains
+    file: Path  # of the gains that were found
+
+
+LAWS = {
+    "ff": Law(Feedforward, LoopGains, FOLDER / "tuned_gains_ff.json"),
+    "lee": Law(Lee, LoopGains, FOLDER / "tuned_gains_lee.json"),
+    "lqr": Law(Lqr, LqrWeights, FOLDER / "tuned_gains_lqr.json"),
+}
+
+
+def read(law: str, path: str | os.PathLike[str]) -> Table[Any]:
+    """The gains of a law in a file, by scenario and action level.
+
+    Raises `ValueError` naming the file and what in it is not as expected, a gain among it.
+    """
+    kind = LAWS[law].gains
+
+    def parse(entry: dict[str, Any], action: str) -> Any:
+        e = as_object(entry, "entry", ("gains",))
+        return part("gains", as_object(e["gains"], "gains", kind._fields), kind())
+
+    return read_table(path, parse)
+
+
+@cache
+def _shipped(law: str) -> Table[Any]:
+    return read(law, LAWS[law].file)
+
+
+class Tuned(Composed):
+    """A law of `LAWS` on the slot, with gains of its own.
+
+    By default those found for the configuration's scenario and action level. Where none were found it warns
+    with `UntunedWarning` and flies with the plain ones; `tuned` says which. Raises `ValueError` for what are
+    no gains.
+    """
+
+    law: str
+
+    def __init__(self, config: FormationConfig, gains: Any = None) -> None:
+        planner = SlotPlanner(config)
+        found = _shipped(self.law).get((config.scenario, config.action)) if gains is None else gains
+        self.tuned = found is not None
+        if found is None:
+            warn_untuned(self.name, config, "the plain ones")
+        super().__init__(config, planner, LAWS[self.law].tracker(config, found))
+
+
+@final
+class FfTuned(Tuned):
+    """`ff` with gains that were searched."""
+
+    name, law = "ff-tuned", "ff"
+
+
+@final
+class LeeTuned(Tuned):
+    """`lee` with gains that were searched."""
+
+    name, law = "lee-tuned", "lee"
+
+
+@final
+class LqrTuned(Tuned):
+    """`lqr` with weights that were searched."""
+
+    name, law = "lqr-tuned", "lqr"
+
+
+TUNED: dict[str, type[Tuned]] = {kind.law: kind for kind in (FfTuned, LeeTuned, LqrTuned)}
