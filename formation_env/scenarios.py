@@ -6,7 +6,7 @@
 | `paper` | section III-C: start on the ground, trigger, white noise |
 | `experiment` | section IV: 78 g, thrust and rates, 50 Hz measurements, 44 Hz commands, estimates |
 | `agile` | the leader on random smooth trajectories of up to 4.2 m/s, a new one each episode |
-| `swarm` | 16 followers in a wedge on a figure eight at up to 6 m/s |
+| `swarm` | 16 followers in a wedge on a figure eight at up to 8.5 m/s |
 
 Where and in which direction the leader's path lies is drawn in every episode, and which of its points comes
 first; `path="as given"` is the paper's own.
@@ -118,7 +118,7 @@ def agile(followers: int = 2) -> FormationConfig:
 def swarm(followers: int = 16) -> FormationConfig:
     """A wedge behind the leader, on a figure eight wide enough that no virtual follower inverts.
 
-    Its turns are flown at the same acceleration whatever its size, for 16 followers at up to 6 m/s: vehicles
+    Its turns are flown at the same acceleration whatever its size, for 16 followers at up to 8.5 m/s: vehicles
     tilt by 10 degrees half of the time. An episode covers the path.
     """
     offsets = formations.wedge(followers, half_angle=radians(30.0))

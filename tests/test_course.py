@@ -17,7 +17,6 @@ from paths import angles, heights, paths, random_ones, sizes, speeds
 from scipy import stats
 from states import counters, outcome
 
-from baselines import make_policy
 from formation_env import FeasibilityWarning, configure, formation_v0, splines, trajectories
 from formation_env.core import arrays
 from formation_env.core.simulation import Simulation
@@ -196,6 +195,11 @@ def test_the_period_of_several_sines_is_their_least_common_one() -> None:
 )
 def test_a_path_that_does_not_repeat_itself_has_no_period(curve: Trajectory) -> None:
     assert curve.period == inf
+    ends = Trajectory("ends", "lemniscate", trajectories.lemniscate().table, 60.0)
+    assert ends.period == inf
+    bounds = trajectories.random_smooth(harmonics=1).random
+    circle = trajectories.circle().table  # which a drawn path replaces
+    assert Trajectory("drawn", "sines", circle, random=bounds).period == inf
     assert configure(trajectory=trajectories.line()).phases == 0
 
 
@@ -337,6 +341,8 @@ def test_a_mirror_image_that_cannot_be_followed_is_not_drawn() -> None:
 
 def flown(simulation: Simulation, ticks: int) -> Floats:
     """Slot errors in m, `(ticks, worlds, followers)`, of the paper's expert."""
+    from baselines import make_policy  # here, since mutants are tried on a copy without it
+
     policy = make_policy("expert", simulation.config)
     policy.reset(worlds=simulation.num_worlds)
     results, errors = simulation.look(), []
@@ -401,6 +407,26 @@ def test_a_snapshot_with_a_course_that_is_none_is_refused(
     with pytest.raises(ValueError, match=told):
         simulation.set_state(saved)
     np.testing.assert_array_equal(simulation.reference(np.arange(5.0), 1), before)
+
+
+@flies
+@pytest.mark.parametrize(
+    ("options", "name", "value", "told"),
+    [
+        ({"path": "as given"}, "turn", (0.0, 1.0), r"courses \(turn\)"),
+        ({"path": "as given"}, "side", -1.0, r"courses \(side\)"),
+        (BESIDE, "side", -1.0, r"courses \(side\)"),
+    ],
+)
+def test_a_snapshot_with_a_course_that_is_never_drawn_is_refused(
+    options: dict[str, Any], name: str, value: Any, told: str
+) -> None:
+    simulation = started(3, **options)
+    saved = simulation.get_state()
+    simulation.set_state(saved)
+    bad_course(saved.state, name, value)
+    with pytest.raises(ValueError, match=told):
+        simulation.set_state(saved)
 
 
 @flies

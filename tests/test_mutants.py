@@ -25,7 +25,7 @@ LAWS = (
         "neighbours",
         "nearest",
     ),
-    *("references", "random_paths", "splines", "trajectories"),
+    *("references", "course", "random_paths", "splines", "trajectories"),
     *("feasibility", "formations"),
 )
 

@@ -13,11 +13,11 @@ from formation_env.core import arrays
 from formation_env.core.simulation import Simulation
 from formation_env.laws.slots import advance_heading, slot
 from formation_env.laws.world import near, resting, start_yaw, trimmed
-from formation_env.memory.records import flatten
+from formation_env.memory.records import LANES, flatten, size
 from formation_env.paths.course import draw_course, lay_direction, lay_point
 from formation_env.physics.quadrotor import GRAVITY
 from formation_env.physics.sensors import Measured, corrupt, exact
-from formation_env.trajectories import evaluate, start_direction
+from formation_env.trajectories import TrajectoryPoint, evaluate, start_direction
 
 NOISE = Noise(0.02, 0.05, 0.04, 0.01, 0.02)
 H = 0.02  # s, control period
@@ -70,6 +70,25 @@ def test_an_episode_begins_as_the_laws_have_it_for_each_vehicle() -> None:
         np.testing.assert_allclose(flatten(true_state(flight, i)), flatten(expected), atol=1e-12)
         told = corrupt(expected, NOISE, key, i, 0)
         np.testing.assert_allclose(flatten(sample(flight, i)), flatten(told), atol=1e-12)
+
+
+def test_an_episode_goes_on_along_the_path_from_where_it_began() -> None:
+    """The reference of the first ticks, and the virtual follower, which begins at its vehicle."""
+    flight = begun(action="reference", gust=0.0)
+    world, key = flight.config.world, episode_key(flight)
+    family, table = arrays.family(flight._memory), arrays.own_table(flight._memory, 0)
+    course, first = draw_course(key, world.courses)
+    for i in range(flight.config.followers):
+        kept, own = own_rows(flight, i), true_state(flight, i + 1)
+        assert (tuple(kept["p"]), tuple(kept["v"])) == (own.p, own.v)
+    for tick in range(5):
+        ahead = lay_point(course, evaluate(family, table, (first + tick) * H))
+        np.testing.assert_allclose(flight.leaders[0], ahead.p, atol=1e-3)
+        np.testing.assert_allclose(true_state(flight, 0).v, ahead.v, atol=1e-3)
+        flight.step(still(flight))
+        rows = arrays.ROOM.views(flight._rooms[0])["reference"][: LANES * size(TrajectoryPoint)]
+        told = arrays.rows(rows, TrajectoryPoint)["p"]
+        np.testing.assert_allclose(told[:, LANE], ahead.p, atol=1e-12)
 
 
 def test_on_the_ground_vehicles_stand_relative_to_where_the_path_begins() -> None:

@@ -190,6 +190,7 @@ def test_starts_fill_a_ball_evenly() -> None:
     assert stats.kstest(yaw, "uniform", (-np.pi, 2.0 * np.pi)).pvalue > 1e-3
     assert np.abs(np.corrcoef([yaw, r, *away.T])[0, 1:]).max() < 0.08
     assert world.near(slot, 5, 1, WORLD) != world.near(slot, 5, 2, WORLD)
+    assert len({world.start_yaw(key, who, WORLD) for key in range(4) for who in range(4)}) == 16
     straight = world.near(slot, 5, 1, WORLD._replace(courses=Courses(0, 0, 0)))
     assert straight == world.near(slot, 5, 1, WORLD)._replace(q=so3.IDENTITY)
 

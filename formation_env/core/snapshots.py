@@ -62,7 +62,7 @@ def check_snapshot(snapshot: Any, config: FormationConfig, own: State, worlds: i
     _check_samples(by_world(state.samples, worlds)[live])
     _check_followers(by_world(state.followers, worlds)[live])
     _check_finite("begins", by_world(state.begins, worlds)[live])
-    _check_courses(by_world(state.courses, worlds)[live])
+    _check_courses(by_world(state.courses, worlds)[live], config)
     _check_finite("speeds", state.speeds[live])
 
 
@@ -97,13 +97,17 @@ def _check_tables(state: State, config: FormationConfig) -> None:
     _refuse_where(harmonics != expected, "tables", harmonics, f"{expected:g} harmonics")
 
 
-def _check_courses(courses: Floats) -> None:
-    where = slices(Course)
+def _check_courses(courses: Floats, config: FormationConfig) -> None:
+    where, allowed = slices(Course), config.world.courses
     square = np.square(courses[..., where["turn"]]).sum(axis=-1)
     bad = ~(np.abs(square - 1.0) <= 1e-9)
     _refuse_where(bad, "courses (squared norm of a turn)", square, "1: unit vectors")
     side = courses[..., where["side"]]
-    _refuse_where(np.abs(side) != 1.0, "courses (side)", side, "1 or -1")
+    bad = (side != 1.0) & ((side != -1.0) | (allowed.mirrored == 0))
+    _refuse_where(bad, "courses (side)", side, "1, or -1 where paths are mirrored")
+    if not allowed.drawn:
+        turn = courses[..., where["turn"]]
+        _refuse_where(turn != (1.0, 0.0), "courses (turn)", turn, "(1, 0): the path is as given")
 
 
 def _check_finite(name: str, values: Floats) -> None:
