@@ -9,7 +9,7 @@ from typing import get_args
 import pytest
 
 from baselines import files
-from baselines.policies import tuned
+from baselines.policies import gain_files
 from baselines.scoring import options as scoring
 from formation_env import config as configuration
 from formation_env import configure
@@ -41,7 +41,10 @@ def listing(text: str) -> list[int]:
 def test_what_lists_the_levels_has_those_of_the_table() -> None:
     assert tuple(configuration._CHOICES["action"]) == NAMES
     assert (
-        tuple(files.LEVEL_NAMES) == tuple(tuned.LEVEL_NAMES) == tuple(scoring.LEVEL_NAMES) == NAMES
+        tuple(files.LEVEL_NAMES)
+        == tuple(gain_files.LEVEL_NAMES)
+        == tuple(scoring.LEVEL_NAMES)
+        == NAMES
     )
     assert {level.name: level.exploration for level in LEVELS} == training.STD
     assert get_args(training.ActionLevel) == NAMES
