@@ -118,8 +118,8 @@ def agile(followers: int = 2) -> FormationConfig:
 def swarm(followers: int = 16) -> FormationConfig:
     """A wedge behind the leader, on a figure eight wide enough that no virtual follower inverts.
 
-    Its turns are flown at the same acceleration whatever its size, for 16 followers at up to 8.5 m/s: vehicles
-    tilt by 10 degrees half of the time. An episode covers the path.
+    Its turns are flown at the same acceleration whatever its size, for 16 followers at up to 8.5 m/s:
+    vehicles tilt by 10 degrees half of the time. An episode covers the path.
     """
     offsets = formations.wedge(followers, half_angle=radians(30.0))
     # No follower inverts while the planar |d| is below the radius of the leader's tightest turn, which
