@@ -28,7 +28,7 @@ from typing import Any, final
 
 from baselines.own import PolicyError, label
 from baselines.registry import available
-from baselines.reporting import board, report
+from baselines.reporting import board, demands, report
 from baselines.scoring import cluster, options, suite
 from baselines.scoring import evaluation as scoring
 from baselines.scoring.evaluation import EPISODES, Executor
@@ -200,7 +200,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     with ExitStack() as stack, _collected_warnings() as collected:
         try:
-            flown, command = _fly(given, parser, stack)
+            flown, best, command = _fly(given, parser, stack)
         except (cluster.ClusterError, PolicyError) as problem:
             if problem.__cause__ is not None:
                 console.complain("".join(traceback.format_exception(problem.__cause__)).rstrip())
@@ -210,7 +210,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             console.complain("interrupted: nothing was written")
             return 130
         try:
-            written = _write(flown, given, command)
+            written = _write(flown, best, given, command)
         except OSError as problem:
             console.complain(f"{parser.prog}: error: {problem}; earlier results are kept")
             return 1
@@ -220,8 +220,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _fly(
     given: argparse.Namespace, parser: argparse.ArgumentParser, stack: ExitStack
-) -> tuple[Report, str]:
-    """The results, and the command that repeats them; the folders are claimed until `stack` is closed.
+) -> tuple[Report, dict[str, demands.Flown], str]:
+    """The results, for a leaderboard the flights of the best policies, and the command that repeats them; the
+    folders are claimed until `stack` is closed.
 
     Raises `SystemExit` for what is wrong with the options, `ClusterError` and `PolicyError`.
     """
@@ -248,7 +249,8 @@ def _fly(
             )
     except cluster.Unreachable as problem:
         parser.error(str(problem))
-    return flown, _command(given, available_policies)
+    best = {} if given.leaderboard is None else demands.of_best(flown, flyable)
+    return flown, best, _command(given, available_policies)
 
 
 @contextmanager
@@ -267,7 +269,9 @@ def _texts(collected: Sequence[warnings.WarningMessage]) -> list[str]:
     return list(dict.fromkeys(f"warning: {' '.join(str(w.message).split())}" for w in collected))
 
 
-def _write(result: Report, given: argparse.Namespace, command: str) -> list[Path]:
+def _write(
+    result: Report, best: dict[str, demands.Flown], given: argparse.Namespace, command: str
+) -> list[Path]:
     """Write all files; returns their paths. Raises `OSError`."""
     folder: Path = given.output
     about = f"# Results\n\n```bash\n{command}\n```\n\n"
@@ -277,7 +281,7 @@ def _write(result: Report, given: argparse.Namespace, command: str) -> list[Path
     if given.matrix is not None:
         written.append(suite.write(suite.matrix(result), given.matrix))
     if given.leaderboard is not None:
-        written += board.write(result, given.leaderboard, command)
+        written += board.write(result, given.leaderboard, command, best)
     return written
 
 

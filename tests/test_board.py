@@ -154,7 +154,15 @@ def test_all_of_it_is_written_and_again_the_same(tmp_path: Path) -> None:
     repeat = "--policies hover --scenarios nominal --episodes 2 --duration 0.1 --leaderboard"
     assert f"`python -m baselines.evaluate {repeat}`" in text
     first = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file() and "out" not in p.parts}
-    names = {"nominal.md", "files.md", "figures.md", "statistics.md", "results.json", "profile.png"}
+    names = {
+        "nominal.md",
+        "scenarios.md",
+        "files.md",
+        "figures.md",
+        "statistics.md",
+        "results.json",
+        "profile.png",
+    }
     assert {p.name for p in first if p.parent.name == "board"} == names
     shown = readme.read_text(encoding="utf-8")
     assert shown.startswith("# Title") and shown.endswith("Rest\n") and "old" not in shown
@@ -165,7 +173,7 @@ def test_all_of_it_is_written_and_again_the_same(tmp_path: Path) -> None:
 
 def test_links_lead_to_pages(board_of_nine: Report) -> None:
     m = matrix(board_of_nine)
-    pages = board.pages(board_of_nine, m)
+    pages = board.pages(board_of_nine, m, {})
     known = {*pages, board.PICTURE, board.JSON}
     text = board.leaderboard(board_of_nine, "command", m)
     assert {Path(link).name for link in re.findall(r"\]\((docs/board/[^)]+)\)", text)} == known - {
@@ -179,7 +187,7 @@ def test_links_lead_to_pages(board_of_nine: Report) -> None:
 
 def test_pages_hold_differences_runs_and_their_median(board_of_nine: Report) -> None:
     name = next(iter(board_of_nine.scenarios))
-    page = board.pages(board_of_nine, matrix(board_of_nine))[board.page_name(name)]
+    page = board.pages(board_of_nine, matrix(board_of_nine), {})[board.page_name(name)]
     for other in ("expert", "expert-tuned", "ff"):
         assert f"score minus `{other}`'s" in page
     result = board_of_nine.scenarios[name].results["ppo"]

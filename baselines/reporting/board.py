@@ -1,19 +1,19 @@
 """The leaderboard: LEADERBOARD.md, its pages in docs/board, and the README's extract, between two markers.
 
 The first is one table and a few sentences, `LARGEST` bytes at most. Everything else that was measured stands
-in the pages: one for each scenario, the files that flew, statistics over scenarios with a picture, and
-`results.json`.
+in the pages: one for each scenario, what the scenarios ask of the vehicles, the files that flew, statistics
+over scenarios with a picture, and `results.json`.
 """
 
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
 import formation_env
-from baselines.reporting import profile, report, statistics
+from baselines.reporting import demands, profile, report, statistics
 from baselines.reporting.cells import markdown_table, rounded
 from baselines.reporting.findings import SEEDS, agreed_best, findings
 from baselines.scoring.results import Report, Scenario
@@ -25,6 +25,7 @@ NAME, README = "LEADERBOARD.md", "README.md"
 PAGES = Path("docs/board")
 PICTURE, JSON = "profile.png", "results.json"
 FILES, STATISTICS, FIGURES = "files.md", "statistics.md", "figures.md"
+DEMANDS = "scenarios.md"
 BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"
 LARGEST = 8000  # bytes of LEADERBOARD.md
 
@@ -119,6 +120,7 @@ def _failures(result: Report) -> str:
 
 def _links(result: Report) -> str:
     pages = {name: page_name(name) for name in result.scenarios}
+    pages |= {"what makes each hard": DEMANDS}
     pages |= {"statistics": STATISTICS, "policy files": FILES, "meanings": FIGURES, "all": JSON}
     return ", ".join(f"[{name}]({PAGES.as_posix()}/{file})" for name, file in pages.items())
 
@@ -131,8 +133,8 @@ def page_name(scenario: str) -> str:
     return f"{''.join(c if c.isalnum() else '-' for c in scenario)}.md"
 
 
-def pages(result: Report, figures: Matrix) -> dict[str, str]:
-    """The texts of the pages by file name."""
+def pages(result: Report, figures: Matrix, flown: Mapping[str, demands.Flown]) -> dict[str, str]:
+    """The texts of the pages by file name; `flown` is what each scenario asks of its best policy."""
     back = f"[Leaderboard](../../{NAME})"
     meanings = f"[what the figures mean]({FIGURES})"
     files = report.files_table(result) or "No policy file has flown."
@@ -142,6 +144,7 @@ def pages(result: Report, figures: Matrix) -> dict[str, str]:
             page_name(name): _joined([f"# {name}", f"{back}, {meanings}", *report.details(each)])
             for name, each in result.scenarios.items()
         },
+        DEMANDS: _joined(["# What makes each scenario hard", back, *demands.parts(result, flown)]),
         FILES: _joined(["# Policy files", back, files, *absent]),
         FIGURES: _joined(["# Figures", back, report.SCORE, report.meanings()]),
         STATISTICS: _joined(
@@ -187,8 +190,11 @@ def check(checkout: Path) -> None:
         raise ValueError(f"{path}: {problem}") from None
 
 
-def write(result: Report, checkout: Path, command: str) -> list[Path]:
-    """Write all of it; returns the paths. Pages of scenarios that are no longer flown are removed.
+def write(
+    result: Report, checkout: Path, command: str, flown: Mapping[str, demands.Flown]
+) -> list[Path]:
+    """Write all of it; returns the paths. Pages of scenarios that are no longer flown are removed. `flown`:
+    `demands.of_best`.
 
     Raises `OSError`, `ValueError`.
     """
@@ -197,7 +203,7 @@ def write(result: Report, checkout: Path, command: str) -> list[Path]:
         checkout / NAME: leaderboard(result, command, figures),
         checkout / README: with_extract(read_text(checkout / README), extract(result)),
         folder / JSON: report.to_json(result, command),
-        **{folder / name: text for name, text in pages(result, figures).items()},
+        **{folder / name: text for name, text in pages(result, figures, flown).items()},
     }
     folder.mkdir(parents=True, exist_ok=True)
     profile.draw(figures, folder / PICTURE)

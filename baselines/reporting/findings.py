@@ -30,7 +30,7 @@ def agreed_best(scenario: Scenario) -> str | None:
     zero; and it is no policy file, or there are `SEEDS` training runs of it.
     """
     results = scenario.results
-    best = max(results, key=lambda name: results[name].score.value)
+    best = scenario.best
     if best in scenario.sources and len(results[best].runs) < SEEDS:
         return None
     own = stacked(list(results[best].runs.values()), "score")
@@ -158,11 +158,7 @@ def _transfer(report: Report) -> str:
 
 def _hardest(report: Report) -> str:
     """The scenario whose best score is the lowest, and what is left to gain there."""
-    best = {
-        name: max(s.results, key=lambda policy, s=s: s.results[policy].score.value)  # type: ignore[misc]
-        for name, s in report.scenarios.items()
-        if s.results
-    }
+    best = {name: s.best for name, s in report.scenarios.items() if s.results}
     if len(best) < 2:
         return ""
     scores = {name: report.scenarios[name].results[policy] for name, policy in best.items()}

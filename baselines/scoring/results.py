@@ -62,6 +62,11 @@ class Scenario(NamedTuple):
     sources: dict[str, Source]  # of those policies that are files
     absent: dict[str, str]  # policies that cannot fly here, and why
 
+    @property
+    def best(self) -> str:
+        """The policy with the highest score. Raises `ValueError` where none has flown."""
+        return max(self.results, key=lambda name: self.results[name].score.value)
+
     def untrained(self, policy: str) -> bool:
         """Whether the policy is a file that was trained for another task: `transfer.differences`."""
         source = self.sources.get(policy)

@@ -18,6 +18,8 @@ from baselines.scoring.metrics import add_tick, begin, episodes, window_ticks
 from formation_env.core.simulation import Simulation, seeded_key
 
 Episodes = dict[str, NDArray[np.float64]]
+# Called after every tick with the simulation, the worlds that have stepped, `(worlds,)`, and all actions.
+Watch = Callable[[Simulation, NDArray[np.bool_], NDArray[np.float32]], None]
 
 # Vehicles flown together: enough that Python's share is small, few enough to stay in the cache and to
 # be shared out between threads.
@@ -45,11 +47,13 @@ def fly(
     seeds: range,
     progress: Callable[[int], None] | None = None,
     most: int | None = None,
+    watch: Watch | None = None,
 ) -> Episodes:
     """One episode for each of the consecutive `seeds`; the columns are `metrics.EPISODE`.
 
     `most` ends them after so many ticks, for a first use that only compiles. `progress` is called after
-    every tick with the number of worlds, whose ticks have been done; what it raises stops the flight.
+    every tick with the number of worlds, whose ticks have been done; what it raises stops the flight. `watch`
+    sees every tick that has been flown.
     """
     config, worlds = policy.config, len(seeds)
     simulation = Simulation(config, worlds)
@@ -72,6 +76,8 @@ def fly(
             # Ended worlds stand still, in whatever state they ended: what is decided there is void.
             actions[~live] = 0.0
         results = simulation.step(actions, mask=live)
+        if watch is not None:
+            watch(simulation, live, actions)
         living = add_tick(
             tally,
             tick,

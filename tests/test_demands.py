@@ -1,0 +1,144 @@
+"""What scenarios ask of the vehicles: figures of flights that are known, and sentences that follow the
+configuration."""
+
+from __future__ import annotations
+
+from math import asin, atan, degrees
+
+import numpy as np
+import pytest
+
+from baselines import make_policy
+from baselines.reporting import board, demands
+from baselines.reporting.demands import Demands, Flown, Percentiles, causes, measure, parts
+from baselines.scoring.evaluation import evaluate, find_flyable
+from baselines.scoring.suite import matrix
+from formation_env import FormationConfig, configure
+from formation_env.config import NO_NOISE
+from formation_env.physics.quadrotor import GRAVITY
+from formation_env.trajectories import circle, hover
+
+STILL = {"path": "as given", "gust": 0.0, "start_offset": 0.0}
+NOTHING = Demands(*[Percentiles(np.nan, np.nan, np.nan)] * len(Demands._fields))
+
+
+def flown(config: FormationConfig, policy: str = "expert", worlds: int = 3) -> Demands:
+    return measure(make_policy(policy, config), range(worlds))
+
+
+@pytest.mark.parametrize("action", ["wrench", "rates", "reference"])
+def test_hovering_asks_for_the_weight_and_nothing_else(action: str) -> None:
+    d = flown(configure("nominal", trajectory=hover(), action=action, duration=2.0, **STILL))
+    for name, expected in Demands(*(0.0,) * len(Demands._fields))._asdict().items():  # type: ignore[arg-type]
+        wanted = 1.0 if name == "thrust" else expected
+        assert getattr(d, name) == pytest.approx([wanted] * 3, abs=1e-5), name
+
+
+@pytest.mark.parametrize("action", ["wrench", "rates", "reference"])
+def test_a_circle_asks_for_the_tilt_of_its_acceleration(action: str) -> None:
+    """At radius r and speed V the leader's acceleration is a = V^2 / r and its tilt atan(a / g). In formation
+    a follower turns as fast, V / r, at the heading (28): on a circle whose radius follows from (6)."""
+    radius, speed, d = 4.0, 2.0, 0.35 + 0.7j
+    config = configure(
+        "nominal",
+        offsets=((d.real, d.imag, -0.3),),
+        trajectory=circle(radius, speed),
+        action=action,
+        duration=40.0,
+        **STILL,
+    )
+    found, a = flown(config, "expert", 1), speed**2 / radius
+    assert found.leader_tilt.median == pytest.approx(degrees(atan(a / GRAVITY)), rel=0.02)
+    assert found.acceleration.median == pytest.approx(a, rel=0.02)
+    assert found.speed.median == pytest.approx(speed, rel=0.02)
+    # In the leader's frame, its velocity along 1, the centre is at `j r`.
+    slot = -d * np.exp(-1j * asin(d.real / radius))
+    own = a * abs(slot - 1j * radius) / radius / GRAVITY
+    assert abs(own * GRAVITY / a - 1.0) > 0.1, "not the leader's"
+    assert found.tilt.median == pytest.approx(degrees(atan(own)), rel=0.02)
+    assert found.thrust.median == pytest.approx(np.hypot(1.0, own), rel=0.002)
+    if action != "wrench":  # the thrust axis turns with the circle
+        rate = speed / radius * np.sin(atan(own))
+        assert 0.6 * rate < found.turn.median * config.vehicle.rate_max[0] < 1.1 * rate
+
+
+def test_turning_is_a_share_of_the_limit() -> None:
+    """Actions of -1 to 1 at random, their largest entry of three: the median is `0.5^(1/3)`."""
+    config = configure("nominal", duration=0.4, limits={"lost": 1e4}, **STILL)
+    share = flown(config, "random", 50).turn
+    assert share.median == pytest.approx(0.5 ** (1.0 / 3.0), abs=0.02)
+    assert 0.2 < share.low < 0.25 and 0.99 < share.high <= 1.0
+
+
+def test_only_ticks_after_the_trigger_count() -> None:
+    """On the floor the specific force is less than the weight, and the leader still stands there."""
+    assert np.isnan(flown(configure("paper", duration=1.0), "hover").tilt.median)
+    d = flown(configure("paper", noise=NO_NOISE, path="as given", duration=20.0))
+    assert d.thrust.low > 0.9 and 0.2 < d.speed.median < 0.7
+
+
+def test_thrust_axes_are_those_of_the_attitude() -> None:
+    half = 0.5 * np.array([0.3, -0.2])
+    rolled = [np.cos(half[0]), np.sin(half[0]), 0.0, 0.0]
+    pitched = [np.cos(half[1]), 0.0, np.sin(half[1]), 0.0]
+    axes = demands.thrust_axes(np.array([rolled, pitched]))
+    assert axes[0] == pytest.approx([0.0, -np.sin(0.3), np.cos(0.3)])
+    assert axes[1] == pytest.approx([np.sin(-0.2), 0.0, np.cos(-0.2)])
+
+
+# -- the page -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("config", "said", "unsaid"),
+    [
+        (configure("nominal"), ["are exact", "0.04 m/s^2"], ["floor", "noise", "places"]),
+        (configure("nominal", gust=0.0), ["are exact"], ["gusts"]),
+        (configure("paper"), ["noise of 0.2 m, 0.1 m/s", "within 0.25 m", "15 s"], ["gusts"]),
+        (configure("experiment"), ["50 Hz", "44 Hz", "100 samples", "1 s late"], ["noise"]),
+        (configure("experiment", window=20), ["20 samples", "0.2 s late"], []),
+        (configure("swarm"), ["17 vehicles", "0.353 m"], ["floor"]),
+        (configure("nominal", measurement_delay=2), ["0.04 s late"], []),
+    ],
+)
+def test_sentences_follow_the_configuration(
+    config: FormationConfig, said: list[str], unsaid: list[str]
+) -> None:
+    text = causes(config)
+    assert all(words in text for words in said), text
+    assert not any(words in text for words in unsaid), text
+
+
+def test_levels_share_a_paragraph_and_what_never_starts_has_no_figures() -> None:
+    configs = {
+        name: configure("paper", action=name.partition(":")[2] or "wrench", duration=0.1)
+        for name in ("paper", "paper:rates")
+    }
+    report = evaluate(configs, ["hover"], episodes=1)
+    table, told = parts(report, dict.fromkeys(configs, Flown("hover", NOTHING)))[1:]
+    assert "| `paper:rates` | `hover` | - | - | - | - | - |" in table
+    assert told.startswith("**paper, paper:rates.** ")
+    assert told.endswith("No flight got past its start.")
+
+
+def test_the_crowd_says_the_least_distance_of_the_slots() -> None:
+    offsets = ((0.5, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 0.4, 0.0))
+    config = configure("nominal", offsets=offsets, trajectory=circle(10.0), start_offset=0.0)
+    assert "4 vehicles, whose places are down to 0.40 m apart" in causes(config)
+
+
+def test_the_page_shows_the_best_row_and_its_figures() -> None:
+    configs = {name: configure(name, duration=4.0) for name in ("nominal", "agile")}
+    policies = ["hover", "expert"]
+    flyable = find_flyable(configs, policies)
+    report = evaluate(configs, policies, episodes=3, seed=5, flyable=flyable)
+    found = demands.of_best(report, flyable, quiet=True)
+    assert {name: each.policy for name, each in found.items()} == dict.fromkeys(configs, "expert")
+    assert found["agile"].demands == measure(make_policy("expert", configs["agile"]), range(5, 8))
+    page = board.pages(report, matrix(report), found)[board.DEMANDS]
+    for name, (_, d) in found.items():
+        (row,) = (line for line in page.splitlines() if line.startswith(f"| `{name}` | `expert` |"))
+        assert f"| {d.tilt.low:.1f} / {d.tilt.median:.1f} / {d.tilt.high:.1f} |" in row
+        assert page.count(f"**{name}.**") == 1
+    assert "on another path in every episode" in page.split("**agile.**")[1]
+    assert len(page.encode()) < 8000
