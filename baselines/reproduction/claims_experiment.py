@@ -13,6 +13,7 @@ from formation_env.paths.references import Floats
 
 SLOW, FAST = 0.1, 0.5  # Hz: below the first is slow, above the second is fast
 _SIZE = 0.353  # m, length of section IV's vehicles
+_HEIGHT = _SIZE / 3.0  # m, assumed: it is not printed
 
 
 def _oscillation(run: Run, prompt: Run) -> Claim:
@@ -152,19 +153,27 @@ def _followed(run: Run) -> Claim:
 
 
 def _closest(run: Run) -> Claim:
-    least = per_world(run, lambda w, m: float(run.distances[run.window(w, 0.0), w].min()))
+    def least(w: int, m: NDArray[np.bool_]) -> float:
+        return float(run.distances[run.window(w, 0.0), w, 2].min())
+
+    def height(w: int, m: NDArray[np.bool_]) -> float:
+        z = run.p[run.window(w, 0.0), w, :, 2]
+        return float((z[:, 1:] - z[:, :1]).min())
+
+    between, above = per_world(run, least), per_world(run, height)
     return Claim(
         "vehicles-stay-apart",
         (11,),
         "IV-A",
         "three real vehicles flew this without a collision",
         "no collision",
-        f"least distance: median run {np.median(least):.2f} m, worst {least.min():.2f} m",
-        bool(np.median(least) > run.config.limits.collision),
-        f"median run above the task's limit of {run.config.limits.collision:g} m between centres",
+        f"followers, at one height: least {between.min():.2f} m; the leader above them: least "
+        f"{above.min():.2f} m",
+        bool(between.min() > _SIZE and above.min() > _HEIGHT),
+        f"followers apart by more than the vehicle's length of {_SIZE:g} m, the leader above them by more "
+        f"than a third of it, {_HEIGHT:.2f} m",
         SILENT,
-        {"median": float(np.median(least)), "least": float(least.min())},
-        "the virtual errors that the late acceleration causes are as large as |d|.",
+        {"between": float(between.min()), "above": float(above.min())},
     )
 
 

@@ -8,6 +8,7 @@ Lengths in metres, times in seconds, angles in radians; inertial frame north-eas
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,12 +18,14 @@ from baselines.policies.expert import Expert
 from baselines.reproduction.continuous import fields_of, vector
 from formation_env import FormationConfig
 from formation_env._jit import kernel
+from formation_env.core.results import Results
 from formation_env.core.simulation import Simulation, seeded_key
 from formation_env.laws.planner import PlanarErrors, PlannerLaw, Virtual, plane
 from formation_env.laws.planner import errors as planner_errors
 from formation_env.memory.records import line_storer, size
 from formation_env.paths.references import Floats
 from formation_env.scenarios import configure
+from formation_env.task import COLUMNS
 
 AFTER_TRIGGER = 80.0  # s, what the figures show once the trigger (40) has fired
 TRANSIENT = 15.0  # s after the trigger, not part of the steady state
@@ -30,6 +33,8 @@ PATIENCE = 120.0  # s, for the trigger
 
 
 Errors = dict[str, Floats]  # by name, (T, W, n, components) each
+# What the expert is shown instead of rows `(W, n, entries)` that are observed.
+Filter = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 
 
 class Run(NamedTuple):
@@ -43,6 +48,7 @@ class Run(NamedTuple):
     p: Floats  # (T, W, n+1, 3) m, true, leader first
     v: Floats  # (T, W, n+1, 3) m/s
     estimate: Floats  # (T, W, 3) leader's acceleration as follower 1 observes it, m/s^2
+    slot_error: Floats  # (T, W, n, 3) m, slot minus position, both true
     virtual_p: Floats  # (T, W, n, 3) m
     virtual_v: Floats  # (T, W, n, 3) m/s
     planner: Errors  # e1 (2), e2 (2), ez (1) as the planner measures them, m
@@ -80,12 +86,13 @@ def fly(
     worlds: int = 1,
     after: float = AFTER_TRIGGER,
     feedforward: str = "zero",
+    shown: Callable[[FormationConfig], Filter] | None = None,
     **overrides: Any,
 ) -> Run:
     """Fly a scenario with the expert until `after` seconds past every world's trigger.
 
-    The leader and followers 1 and 2 as in the paper. Raises `RuntimeError` if the trigger of some
-    world has not fired after two minutes.
+    The leader and followers 1 and 2 as in the paper. `shown` makes what changes the observations. Raises
+    `RuntimeError` if the trigger of some world has not fired after two minutes.
     """
     config = configure(scenario, **{"path": "as given", "duration": after + PATIENCE, **overrides})
     simulation = Simulation(config, worlds)
@@ -93,23 +100,25 @@ def fly(
         simulation.seed(world, seeded_key(seed + world))
     expert = Expert(config, feedforward, keep_record=True)
     expert.reset(seed, worlds)
-    observations = simulation.reset().observations
+    look = shown(config) if shown else None
+    results = simulation.reset()
     rows: list[dict[str, Floats]] = []
     while float(simulation.clock.min()) <= after:
         if float(simulation.time[0]) > PATIENCE and not bool(simulation.started.all()):
             late = int(np.argmin(simulation.started))
             raise RuntimeError(f"seed {seed + late}: no trigger (40) within {PATIENCE:g} s")
-        row = _truth(simulation, observations)
-        actions = expert.act(observations)
+        row = _truth(simulation, results)
+        observations = results.observations
+        actions = expert.act(look(observations) if look else observations)
         rows.append({**row, **expert.record})
         # A step goes on after a failure: the figures show what the laws do, not what the task judges.
-        observations = simulation.step(actions).observations
+        results = simulation.step(actions)
     return _collect(config, simulation, seed, rows)
 
 
-def _truth(simulation: Simulation, observations: NDArray[np.float32]) -> dict[str, Floats]:
+def _truth(simulation: Simulation, results: Results) -> dict[str, Floats]:
     """What is true now, and the leader's acceleration as the first follower's row has it."""
-    parts = simulation.layout.unpack(observations[:, 0].astype(np.float64))
+    parts = simulation.layout.unpack(results.observations[:, 0].astype(np.float64))
     a, R = parts["leader_acceleration"], parts["heading"]
     plane = (a[:, 0] + 1j * a[:, 1]) * (R[:, 0] + 1j * R[:, 1])
     return {
@@ -118,6 +127,7 @@ def _truth(simulation: Simulation, observations: NDArray[np.float32]) -> dict[st
         "p": simulation.positions,
         "v": simulation.velocities,
         "estimate": np.stack([plane.real, plane.imag, a[:, 2]], -1),
+        "slot_error": results.outputs[..., COLUMNS["slot_error"]],
     }
 
 
@@ -144,6 +154,7 @@ def _collect(
         x["p"],
         x["v"],
         x["estimate"],
+        x["slot_error"],
         x["virtual_p"],
         x["virtual_v"],
         {name: x[f"planner_{name}"] for name in ("e1", "e2", "ez")},
