@@ -168,7 +168,12 @@ class Terms(NamedTuple):
     effort: Annotated[float, Term("`-w` times the mean squared action", "effort")]
     smoothness: Annotated[float, Term("`-w` times the mean squared change of action", "smoothness")]
     failure: Annotated[
-        float, Term("`-w` once, to every follower of a team of which one has failed", "failure")
+        float,
+        Term(
+            "`-w` once, to every follower of a team of which one has failed; before the trigger also what "
+            "waiting until the deadline can cost",
+            "failure",
+        ),
     ]
 
 
@@ -272,6 +277,7 @@ def closeness(error: float, weights: Rewards) -> float:
 @device
 def reward(
     started: bool,
+    left: float,
     error: float,
     action: Action,
     previous: Action,
@@ -285,9 +291,11 @@ def reward(
         waiting    = -waiting (1 - closeness)       before, to the waiting place
         effort     = -effort |a|^2 / size           zero action is hovering flight
         smoothness = -smoothness |a - a_prev|^2 / size
-        failure    = -failure, once, where one of the team has failed
+        failure    = -failure - waiting left, once, where one of the team has failed
 
     So nothing is earned before the start, and the whole wait until the deadline costs less than a failure.
+    `left` are the ticks until the deadline, 0 after the start: who fails before it pays for them too, so that
+    ending the wait by a crash gains nothing.
     `error` is the true slot error in m, `size` the number of entries an action has.
     """
     near = closeness(error, weights)
@@ -302,7 +310,7 @@ def reward(
         pick(started, 0.0, -weights.waiting * (1.0 - near)),
         -weights.effort * _square(action) / size,
         -weights.smoothness * _square(b) / size,
-        -weights.failure if failed else 0.0,
+        -weights.failure - weights.waiting * left if failed else 0.0,
     )
 
 

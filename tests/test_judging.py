@@ -189,7 +189,7 @@ def test_followers_fail_as_one_alone() -> None:
     seen = set()
     for seed in range(24):
         draw = drawn(seed)
-        active, overdue = flags(draw), draw.choice([0.0, 0.0, 1.0], LANES)
+        active, started, left = flags(draw), flags(draw), draw.choice([0.0, 1.0, 20.0], LANES)
         squares = draw.choice([0.01, 0.03, 1.0, 400.0], size(Squares) * LANES)
         touch, leader = touches(draw), touches(draw)
         rows(leader, Touch)["speed"][:, ::7] = np.inf
@@ -197,12 +197,12 @@ def test_followers_fail_as_one_alone() -> None:
         rows(tally, Tally)["failed"][:] = draw.choice([0.0, 0.5], LANES)
         rows(tally, Tally)["paid"][:] = flags(draw)
         before, untouched = tally.copy(), outcome.copy()
-        judging.fail(active, overdue, squares, touch, leader, tally, line(LIMITS), outcome)
+        judging.fail(active, started, left, squares, touch, leader, tally, line(LIMITS), outcome)
         for lane in range(LANES):
             apart, own = lane_of(squares, Squares, lane), lane_of(touch, Touch, lane)
             fastest = lane_of(leader, Touch, lane)
             error, separation = true_error(apart, own, fastest), np.sqrt(apart["separation"])
-            late = bool(overdue[lane])
+            late = bool(started[lane] == 0.0 and left[lane] == 0.0)
             why = task.failure(separation, own["speed"], own["uprightness"], error, late, LIMITS)
             on = bool(active[lane])
             failed = on and why != NO_FAILURE
@@ -232,7 +232,7 @@ def test_followers_are_paid_as_one_alone() -> None:
     seen = set()
     for seed in range(12):
         draw = drawn(seed)
-        active, started = flags(draw), flags(draw)
+        active, started, left = flags(draw), flags(draw), draw.choice([0.0, 30.0], LANES)
         squares = draw.choice([0.01, 0.03, 1.0, 400.0], size(Squares) * LANES)
         touch, leader = touches(draw), touches(draw)
         rows(leader, Touch)["speed"][:, ::7] = np.inf
@@ -244,7 +244,9 @@ def test_followers_are_paid_as_one_alone() -> None:
         rows(tally, Tally)["paid"][:] = flags(draw)
         was, sums = x.copy(), tally.copy()
         weights = 3, line(REWARDS)
-        judging.pay(active, started, squares, touch, leader, action, x, tally, *weights, outcome)
+        judging.pay(
+            active, started, left, squares, touch, leader, action, x, tally, *weights, outcome
+        )
         for lane in range(LANES):
             apart, own = lane_of(squares, Squares, lane), lane_of(touch, Touch, lane)
             error, a = (
@@ -255,7 +257,7 @@ def test_followers_are_paid_as_one_alone() -> None:
             before = lane_of(was, Follower, lane)
             previous, a = before["previous"], action.reshape(-1, LANES)[:, lane]
             on, going, failed = bool(active[lane]), bool(started[lane]), bool(old["paid"])
-            terms = task.reward(going, error, tuple(a), previous, 3, failed, REWARDS)
+            terms = task.reward(going, left[lane], error, tuple(a), previous, 3, failed, REWARDS)
             found, after = lane_of(outcome, Outcome, lane), lane_of(x, Follower, lane)
             np.testing.assert_allclose(
                 found["terms"], terms if on else np.zeros(len(terms)), atol=1e-14

@@ -39,7 +39,7 @@ HOVERING: dict[str, Any] = {"trajectory": trajectories.hover(), "start_offset": 
 
 def paid(started: bool, error: float, action: Any = CALM, previous: Any = CALM) -> float:
     """The reward of one tick in which nobody fails."""
-    return sum(reward(started, error, action, previous, 4, False, WEIGHTS))
+    return sum(reward(started, 0.0, error, action, previous, 4, False, WEIGHTS))
 
 
 def flown(
@@ -224,8 +224,17 @@ def test_a_start_at_the_last_tick_is_in_time(start: Any) -> None:
 def test_flying_on_calmly_is_never_worse_than_a_failure(error: float) -> None:
     """Once started it costs nothing, however far the slot is."""
     assert paid(True, error) > 0.0
-    failed = sum(reward(True, error, CALM, CALM, 4, True, WEIGHTS))
+    failed = sum(reward(True, 0.0, error, CALM, CALM, 4, True, WEIGHTS))
     assert failed <= paid(True, error) - WEIGHTS.failure
+
+
+@PROPERTY
+@given(ERRORS, st.integers(0, 750))
+def test_ending_the_wait_by_a_failure_gains_nothing(error: float, left: int) -> None:
+    """It costs what waiting to the deadline, wherever, and failing there would."""
+    crash = sum(reward(False, float(left), error, CALM, CALM, 4, True, WEIGHTS))
+    tick = paid(False, error)
+    assert crash <= tick * (left + 1) - WEIGHTS.failure + 1e-9
 
 
 @pytest.mark.parametrize("after", [-100, 100], ids=["before the trigger", "after it"])

@@ -237,19 +237,19 @@ def test_reward_is_bounded_and_best_when_exact_and_calm(
     error: float, a: Any, before: Any, failed: bool, started: bool
 ) -> None:
     weights = Rewards()
-    terms = reward(started, error, a, before, 4, failed, weights)
+    terms = reward(started, 0.0, error, a, before, 4, failed, weights)
     assert 0.0 < terms.formation <= 1.0 if started else terms.formation == 0.0
     assert terms.waiting == 0.0 if started else -0.01 <= terms.waiting <= 0.0
     assert -0.05 <= terms.effort <= 0.0
     assert -0.2 <= terms.smoothness <= 0.0
     assert terms.failure == (-10.0 if failed else 0.0)
-    closer = reward(started, 0.5 * error, a, before, 4, failed, weights)
+    closer = reward(started, 0.0, 0.5 * error, a, before, 4, failed, weights)
     assert closer.formation >= terms.formation
     assert closer.waiting >= terms.waiting
-    best = reward(started, 0.0, (0.0,) * 4, (0.0,) * 4, 4, False, weights)
+    best = reward(started, 0.0, 0.0, (0.0,) * 4, (0.0,) * 4, 4, False, weights)
     assert sum(best) == float(started)
     assert sum(terms) <= sum(best)
-    held = reward(started, error, a, a, 4, failed, weights)
+    held = reward(started, 0.0, error, a, a, 4, failed, weights)
     assert held.smoothness == 0.0
 
 

@@ -128,7 +128,7 @@ def test_the_reward_is_what_its_docstring_says(
     error: float, action: Action, previous: Action, size: int, failed: bool, started: bool
 ) -> None:
     a, b, e = np.array(action), np.array(previous), abs(error)
-    found = task.reward(started, e, action, previous, size, failed, WEIGHTS)
+    found = task.reward(started, 25.0, e, action, previous, size, failed, WEIGHTS)
     wide, narrow = 0.4**2 / (0.4**2 + e**2), 0.06**2 / (0.06**2 + e**2)
     near = (wide + narrow) / 2.0
     agree(task.closeness(e, WEIGHTS), near, 1e-14)
@@ -136,14 +136,26 @@ def test_the_reward_is_what_its_docstring_says(
     agree(found.waiting, 0.0 if started else -0.02 * (1.0 - near), 1e-15)
     agree(found.effort, -0.05 * a @ a / size, 1e-14)
     agree(found.smoothness, -0.07 * (a - b) @ (a - b) / size, 1e-14)
-    assert found.failure == (-10.0 if failed else 0.0)
+    assert found.failure == (-10.5 if failed else 0.0)  # 25 ticks to the deadline at 0.02
 
 
 @pytest.mark.parametrize(("error", "near"), [(0.0, 1.0), (inf, 0.0), (nan, 0.0)])
 def test_the_terms_at_the_ends_of_closeness(error: float, near: float) -> None:
-    assert task.reward(True, error, CALM, CALM, 4, False, WEIGHTS) == (near, 0.0, 0.0, 0.0, 0.0)
+    assert task.reward(True, 0.0, error, CALM, CALM, 4, False, WEIGHTS) == (
+        near,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )
     waiting = 0.02 * (near - 1.0)
-    assert task.reward(False, error, CALM, CALM, 4, False, WEIGHTS) == (0.0, waiting, 0.0, 0.0, 0.0)
+    assert task.reward(False, 0.0, error, CALM, CALM, 4, False, WEIGHTS) == (
+        0.0,
+        waiting,
+        0.0,
+        0.0,
+        0.0,
+    )
 
 
 # -- the layout -----------------------------------------------------------------------------------------

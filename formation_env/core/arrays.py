@@ -152,7 +152,7 @@ named = _field("named", lambda z: (LANES,), np.bool_)  # worlds meant, of a tile
 active = _field("active", lambda z: (LANES,))  # 1 for worlds that step, else 0
 moving = _field("moving", lambda z: (LANES,))  # 1 for those whose trigger had fired before the tick
 started = _field("started", lambda z: (LANES,))  # 1 for those whose trigger has fired
-overdue = _field("overdue", lambda z: (LANES,))  # 1 for those whose trigger has not and should have
+left = _field("left", lambda z: (LANES,))  # ticks within which it has to, 0 where it has
 tally = _field("tally", lambda z: (size(Tally) * LANES,))
 verdict = _field("verdict", lambda z: (size(Verdict) * LANES,))
 # m/s, the leader's in the plane, true and as measured

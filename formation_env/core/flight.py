@@ -74,13 +74,13 @@ choose = over_lanes(choose_world, into=("active", "moving"), uniform=("reset",),
 
 
 @device
-def note_start(counters: Counters, deadline: int) -> tuple[bool, bool, bool]:
-    """Whether an episode has started, whether it should have, and whether it has not, to be summed."""
+def note_start(counters: Counters, deadline: int) -> tuple[bool, float, bool]:
+    """Whether an episode has started, ticks until it has to, and whether it waits, to be summed."""
     waits = counters.started == 0
-    return not waits, waits & (counters.tick >= deadline), waits
+    return not waits, float(deadline - counters.tick) if waits else 0.0, waits
 
 
-note_started = over_lanes(note_start, into=("started", "overdue"), uniform=("deadline",))
+note_started = over_lanes(note_start, into=("started", "left"), uniform=("deadline",))
 
 
 @device

@@ -269,7 +269,8 @@ def true_error(square: float, own: Hardest, leader: Hardest) -> float:
 @device
 def failing(
     active: bool,
-    overdue: bool,
+    started: bool,
+    left: float,
     squares: Squares,
     touch: Touch,
     leader: Hardest,
@@ -283,6 +284,7 @@ def failing(
     """
     error = true_error(squares.error, Hardest(touch.speed), leader)
     separation = sqrt(squares.separation)
+    overdue = (not started) & (left <= 0.0)
     why = failure(separation, touch.speed, touch.uprightness, error, overdue, limits)
     own = active & (why != NO_FAILURE)
     crashed = (why == NO_FAILURE) & (leader.speed > limits.impact)
@@ -310,6 +312,7 @@ class Error(NamedTuple):
 def payment(
     active: bool,
     started: bool,
+    left: float,
     squares: Error,
     touch: Hardest,
     leader: Hardest,
@@ -325,7 +328,7 @@ def payment(
     reward loses the same whatever the team's size, and nobody gains by the failure of another.
     """
     error = true_error(squares.error, touch, leader)
-    terms = reward(started, error, action, x.previous, entries, tally.paid, rewards)
+    terms = reward(started, left, error, action, x.previous, entries, tally.paid, rewards)
     earned = pick(active, total_of_terms(terms), 0.0)
     return (
         Paid(earned, choose_terms(active, terms, _NOTHING)),

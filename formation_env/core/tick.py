@@ -181,7 +181,7 @@ def locate(memory: Any, room: Any, t: int, here: int) -> int:
         arrays.counters(memory, t),
         arrays.deadline(memory),
         arrays.started(room),
-        arrays.overdue(room),
+        arrays.left(room),
     )
     leader = arrays.vehicle(memory, t, 0)
     begin = begin_rows(memory, t, standing, leader)
@@ -226,15 +226,16 @@ def judge(memory: Any, room: Any, t: int, here: int) -> None:
     tally, active, leader = arrays.tally(room), arrays.active(room), arrays.touch(room, 0)
     n, limits = arrays.vehicles(memory) - 1, arrays.limits(memory)
     clear(tally)
-    started, overdue = arrays.started(room), arrays.overdue(room)
+    started, left = arrays.started(room), arrays.left(room)
     for i in range(n):
         squares, touch = arrays.squares(room, i), arrays.touch(room, i + 1)
         outcome = arrays.outcome(room, i)
-        judging.fail(active, overdue, squares, touch, leader, tally, limits, outcome)
+        judging.fail(active, started, left, squares, touch, leader, tally, limits, outcome)
     for i in range(n):
         judging.pay(
             active,
             started,
+            left,
             arrays.squares(room, i),
             arrays.touch(room, i + 1),
             leader,
