@@ -64,7 +64,7 @@ def test_the_bounds_are_the_observations() -> None:
     [
         (
             {"trajectory": line((1.0, 0.0), start=(2e4, 0.0))},
-            r"trajectory = 'line' with a position.* of 20020\.\d m .*at most 10000 m.*move the origin",
+            r"trajectory = 'line' with a position.* of 20026\.\d m .*at most 10000 m.*move the origin",
         ),
         (
             {"trajectory": line((20.0, 0.0)), "duration": 600.0},
@@ -210,7 +210,9 @@ def test_the_warning_tells_what_the_leader_can_fly(curve: Trajectory, duration: 
             trajectory=curve,
             duration=duration,
             action="reference",
+            path="as given",
             start_offset=0.0,
+            gust=0.0,
             limits=Limits(collision=1e-3, impact=1.0, tilt=0.5, lost=1e3),
         )
         apart, crashed = flown(config)

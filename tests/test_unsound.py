@@ -26,7 +26,7 @@ from formation_env.core.simulation import Simulation
 from formation_env.env import FormationEnv
 from formation_env.formation_v0 import parallel_env
 from formation_env.physics.sensors import Noise
-from formation_env.task import COLLISION, FAILURES, LEADER, LOST, Rewards
+from formation_env.task import COLLISION, FAILURES, LEADER, LOST, UNSTARTED, Rewards
 from formation_env.vector import FormationVectorEnv
 
 NAN, INF = float("nan"), float("inf")
@@ -131,8 +131,8 @@ def crash_leader(flight: Simulation, lane: int = 0) -> None:
 
 
 def test_the_failures_have_names() -> None:
-    assert FAILURES == ("none", "collision", "impact", "lost", "leader")
-    assert FAILURES[LEADER] == "leader"
+    assert FAILURES == ("none", "collision", "impact", "lost", "leader", "unstarted")
+    assert (FAILURES[LEADER], FAILURES[UNSTARTED]) == ("leader", "unstarted")
 
 
 @pytest.mark.parametrize("action", LEVELS)
@@ -147,14 +147,15 @@ def test_the_leaders_crash_is_told_to_all_and_paid_by_none(action: str) -> None:
         np.testing.assert_array_equal(results.observations[world], expected.observations[world])
 
 
-def test_a_follower_that_fails_in_the_same_tick_keeps_the_failure_that_is_paid() -> None:
+def test_a_follower_that_fails_in_the_same_tick_keeps_its_failure_that_all_pay() -> None:
+    """Also the one who is told of the leader's crash, for which alone nobody would pay."""
     flight = begun(1)
     crash_leader(flight)
     p = vehicles(flight)["p"][0, :, :, 0]
     p[1] = p[0] + (0.0, 0.0, -0.1)
     results = flight.step(still(flight))
     assert outcome(results, "failed")[0].tolist() == [COLLISION, LEADER]
-    assert term(results, "failure")[0].tolist() == [-10.0, 0.0]
+    assert term(results, "failure")[0].tolist() == [-10.0, -10.0]
 
 
 def test_a_leader_that_lands_gently_ends_nothing() -> None:
