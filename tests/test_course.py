@@ -30,7 +30,7 @@ from formation_env.paths.course import (
     lay_direction,
     lay_point,
 )
-from formation_env.paths.references import TrajectoryPoint
+from formation_env.paths.references import TrajectoryPoint, by_name
 from formation_env.trajectories import Trajectory
 from formation_env.vector import FormationVectorEnv
 
@@ -161,7 +161,7 @@ def test_a_path_repeats_itself_after_its_period_and_not_before(curve: Trajectory
     for part in (2, 3, 4, 5):
         at = t + np.linspace(0.0, T, 20)
         moved = np.abs(curve(at + T / part) - curve(at)).max(axis=(0, 2))
-        assert moved[0] > 1e-2 * np.ptp(curve(at)[:, 0], axis=0).max()
+        assert moved[0] > 1e-2 * np.ptp(by_name(curve(at))["p"], axis=0).max()
 
 
 def sines(*waves: tuple[float, float, float], drift: float = 0.0) -> Trajectory:
@@ -290,7 +290,7 @@ def test_as_given_nothing_of_it_is_drawn(scenario: str) -> None:
     assert (simulation.attitudes[:, 1:] == (1.0, 0.0, 0.0, 0.0)).all()
     if scenario != "agile":
         t = np.linspace(0.0, 20.0, 50)
-        path = simulation.config.trajectory(t)[:, 0]
+        path = by_name(simulation.config.trajectory(t))["p"]
         np.testing.assert_array_equal(simulation.reference(t, 39), path)
         np.testing.assert_array_equal(simulation.leaders, simulation.leaders[:1].repeat(40, 0))
     if scenario == "paper":
@@ -305,7 +305,8 @@ def test_ground_starts_lie_along_the_path(scenario: str, followers: int) -> None
     """As far from its first point as on the given path, and in the same directions from its own."""
     simulation = started(30, scenario, followers=followers)
     config = simulation.config
-    p, v = config.trajectory(0.0)[:2]
+    given = by_name(config.trajectory(0.0))
+    p, v = given["p"], given["v"]
     stood = np.array(config.ground_starts())
     z = (stood[:, 0] - p[0]) + 1j * (stood[:, 1] - p[1])
     expected = z * abs(complex(*v[:2])) / complex(*v[:2])

@@ -131,7 +131,7 @@ def test_start_direction(curve: Trajectory, expected: complex) -> None:
 @PROPERTY
 @given(closed_forms, st.floats(0.0, 5.0))
 def test_a_path_that_is_begun_later_leaves_along_its_velocity(curve: Trajectory, t: float) -> None:
-    vx, vy, _ = curve(t)[1]
+    vx, vy, _ = by_name(curve(t))["v"]
     if np.hypot(vx, vy) > 1e-3:
         expected = complex(vx, vy) / np.hypot(vx, vy)
         assert trajectories.start_direction(curve.kind, curve.table, t) == pytest.approx(expected)
