@@ -248,35 +248,51 @@ PATHS: dict[str, Callable[[], Any]] = {
     "lemniscate": trajectories.lemniscate,
     "spline": lambda: splines.waypoints(TIMES.tolist(), POINTS.tolist()),
 }
+PERIODIC = ("sines", "circle", "lemniscate")
 
 
 @pytest.mark.parametrize("scenario", ["nominal", "paper", "experiment"])
 @pytest.mark.parametrize("path", PATHS)
+@pytest.mark.parametrize("lies", ["drawn", "as given"])
 def test_a_reference_evaluated_is_the_one_tabulated(
-    path: str, scenario: str, monkeypatch: pytest.MonkeyPatch
+    lies: str, path: str, scenario: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Bit for bit, across the end of an episode and beyond the last row of the table."""
+    """Bit for bit, across the end of an episode and beyond the last row of the table.
+
+    Begun at any phase of a periodic path, whose table is longer by a period.
+    """
     with warnings.catch_warnings():  # not all paths suit the formation
         warnings.simplefilter("ignore")
-        config = configure(scenario, trajectory=PATHS[path](), duration=1.0)
+        config = configure(scenario, trajectory=PATHS[path](), duration=1.0, path=lies)
+    lines = config.max_steps + config.phases + 1
+    assert (config.phases > 0) == (lies == "drawn" and path in PERIODIC)
     tabulated = Simulation(config, 3)
     monkeypatch.setattr(simulation, "TABULATED", 0)
     evaluated = Simulation(config, 3)
-    assert _lines(tabulated) == config.max_steps + 1
+    assert _lines(tabulated) == lines
     assert _lines(evaluated) == 0
     for flight in (tabulated, evaluated):
         for world in range(3):
             flight.seed(world, world)
         flight.reset()
+    first = counters(tabulated._state.counters)["first"].reshape(-1)[:3]
+    assert (len(set(first.tolist())) > 1) == (config.phases > 0)
     for k, actions in enumerate(wild(140, *tabulated._shape) * np.float32(0.02)):
         mode = kernels.STEP_OR_RESET if k < 60 else kernels.STEP
         for flight in (tabulated, evaluated):
-            counters(flight._state.counters)["started"][:] = 1
+            counted = counters(flight._state.counters)
+            counted["started"][:] = 1
+            if k == 60:  # 40 ticks before the table's end
+                counted["clock"][:] = lines - 40 - counted["first"]
         one, two = (flight.step(actions, mode) for flight in (tabulated, evaluated))
         assert one.observations.tobytes() == two.observations.tobytes(), k
         assert one.outputs.tobytes() == two.outputs.tobytes(), k
         assert tabulated.positions.tobytes() == evaluated.positions.tobytes(), k
-    assert tabulated.clock.max() > 1.2
+    for flight in (tabulated, evaluated):
+        counted = counters(flight._state.counters)
+        np.testing.assert_array_equal(
+            (counted["clock"] + counted["first"]).reshape(-1)[:3], lines + 40
+        )
 
 
 @pytest.mark.parametrize("duration", [1e9, MAX_TICKS * 0.02])
