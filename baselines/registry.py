@@ -14,7 +14,7 @@ from baselines.policies.expert import Expert
 from baselines.policies.learned import Learned, Misfit, require_fit
 from baselines.policies.simple import Hover, Random
 from baselines.policies.textbook import Ff, FfFilter, LeeSlot, LqrSlot
-from baselines.policies.textbook_tuned import FfTuned, LeeTuned, LqrTuned
+from baselines.policies.textbook_tuned import FfTuned, LeeTuned, LqrTuned, Tuned, found
 from baselines.policies.tuned import ExpertTuned
 from formation_env import FormationConfig
 from formation_env.validation.checks import require
@@ -69,9 +69,17 @@ def known_names() -> str:
 
 
 def available(configs: Collection[FormationConfig]) -> list[str]:
-    """The names of all that can fly at least one of the configurations."""
+    """The names of all that can fly at least one of the configurations.
+
+    Without controllers with gains of their own where none were found for any: they would be the plain ones.
+    """
+    programmed = [
+        name
+        for name, policy in POLICIES.items()
+        if not issubclass(policy, Tuned) or any(found(policy.law, config) for config in configs)
+    ]
     methods = [m for m in METHODS if any(_shipped(m, config) for config in configs)]
-    return [*POLICIES, *methods]
+    return [*programmed, *methods]
 
 
 def recipe(policy: Any, config: FormationConfig) -> Recipe:

@@ -55,6 +55,11 @@ def _shipped(law: str) -> Table[Any]:
     return read(law, LAWS[law].file)
 
 
+def found(law: str, config: FormationConfig) -> Any:
+    """The gains found for the configuration's scenario and action level, or None."""
+    return _shipped(law).get((config.scenario, config.action))
+
+
 class Tuned(Composed):
     """A law of `LAWS` on the slot, with gains of its own.
 
@@ -67,11 +72,11 @@ class Tuned(Composed):
 
     def __init__(self, config: FormationConfig, gains: Any = None) -> None:
         planner = SlotPlanner(config)
-        found = _shipped(self.law).get((config.scenario, config.action)) if gains is None else gains
-        self.tuned = found is not None
-        if found is None:
+        gains = found(self.law, config) if gains is None else gains
+        self.tuned = gains is not None
+        if gains is None:
             warn_untuned(self.name, config, "the plain ones")
-        super().__init__(config, planner, LAWS[self.law].tracker(config, found))
+        super().__init__(config, planner, LAWS[self.law].tracker(config, gains))
 
 
 @final
