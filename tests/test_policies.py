@@ -175,7 +175,11 @@ def test_wrong_observation_is_refused(name: str) -> None:
 @pytest.mark.parametrize("worlds", [1, 8, 9])
 @pytest.mark.parametrize("level", LEVELS)
 def test_an_expert_with_a_record_decides_alike(level: str, worlds: int) -> None:
-    """Keeping a record changes no action, and its trajectory starts where null errors put it (II-E)."""
+    """Keeping a record changes no action, and its trajectory starts where null errors put it (II-E).
+
+    Null as far as the row says: its heading is of float32, so of a length that is not quite 1, and
+    `d` turned by it is as much too long or too short.
+    """
     config = configure("nominal", action=level)
     simulation = Simulation(config, worlds)
     for i in range(worlds):
@@ -188,7 +192,11 @@ def test_an_expert_with_a_record_decides_alike(level: str, worlds: int) -> None:
         actions = noting.act(rows)
         assert np.array_equal(plain.act(rows), actions)
         if tick == 0:
-            assert np.abs(noting.record["planner_e1"]).max() < 1e-12
+            row = config.layout.unpack(rows.astype(np.float64))
+            excess = np.linalg.norm(row["heading"], axis=-1, keepdims=True) - 1.0
+            assert np.abs(excess).max() < np.finfo(np.float32).eps
+            said = excess * row["offset"][..., :2]
+            assert np.abs(noting.record["planner_e1"] - said).max() < 1e-12
             assert np.abs(noting.record["planner_ez"]).max() < 1e-12
         rows = simulation.step(actions).observations
     assert np.isfinite(np.concatenate(list(noting.record.values()), axis=-1)).all()
