@@ -83,17 +83,20 @@ def test_episodes_without_reset_are_flown_as_with_it(scenario: str, level: str, 
 
 
 def test_the_expert_earns_as_much_in_a_second_episode() -> None:
-    """It earned 48.9 instead of 1,650.7."""
+    """More than half of what there is from the trigger to the end; it did not even start the leader."""
     env = FormationEnv(scenario="paper")
-    policy, returns = Expert(env.config), []
+    policy, layout, returns = Expert(env.config), env.config.layout, []
     for _ in range(2):
-        total, done = 0.0, False
+        total, started, done = 0.0, 0, False
         observation, _ = env.reset(seed=0)
         while not done:
+            rows = observation.reshape(-1, layout.size)
+            started += bool(layout.unpack(rows)["started"].all())
             observation, reward, terminated, truncated, _ = env.step(policy.act(observation))
             total, done = total + float(reward), terminated or truncated
+        assert total > 0.5 * started > 0
         returns.append(total)
-    assert returns[0] == returns[1] > 1000.0
+    assert returns[0] == returns[1]
 
 
 @pytest.mark.parametrize("scenario", ["nominal", "paper", "experiment"])

@@ -183,16 +183,17 @@ def test_a_correction_flies_from_its_file_as_it_learned_to_fly() -> None:
 
 
 def test_a_corrected_expert_is_better_than_the_expert(tmp_path: Path) -> None:
-    words = ["--worlds", "32", "--rounds", "6", "--ticks", "100", "--updates", "100", "--quiet",
-             "--scenario", "paper", "--action", "rates", "--teacher", "expert-tuned",
+    """On experiment, where the paper's gains crash and those found do not: the task with most to correct."""
+    words = ["--worlds", "32", "--rounds", "10", "--ticks", "100", "--updates", "100", "--quiet",
+             "--scenario", "experiment", "--action", "rates", "--teacher", "expert-tuned",
              "--residual", "0.8", "--batch", "512", "--evaluate-every", "1",
              "--episodes", "4"]  # fmt: skip
     assert main(["--output", str(tmp_path), *words]) == 0
     card, _ = files.load(tmp_path / "best.safetensors")
     assert (card.method, card.residual) == ("residual-dagger", 0.8)
-    evaluator = Evaluator(configure("paper", action="rates"), 4)
+    evaluator = Evaluator(configure("experiment", action="rates"), 4)
     expert, _ = evaluator.score_policy(make_policy("expert", evaluator.config))
-    assert card.score["paper"][1] > expert.high
+    assert card.score["experiment"][1] > expert.high
 
 
 @pytest.mark.parametrize(("activation", "history"), [("tanh", 1), ("relu", 3)])
