@@ -115,7 +115,7 @@ WORLDS = [
            "-weights.effort * _square(action) / 4"),
     Mutant("task", "-weights.effort * _square(action)", "-weights.effort * _square(b)"),
     Mutant("task", "-weights.smoothness * _square(b)", "weights.smoothness * _square(b)"),
-    Mutant("task", "-weights.failure if failed", "weights.failure if failed"),
+    Mutant("task", "-weights.failure - weights.waiting * left if failed", "weights.failure if failed"),
     Mutant("task", "a[2] * a[2] + a[3] * a[3]", "a[2] * a[2] + a[3]"),
     Mutant("task", "return float(np.sqrt(dot(e, e)))", "return float(dot(e, e))"),
     Mutant("task", "self.size = start + neighbours * size(Neighbour)", "self.size = start + size(Neighbour)"),
