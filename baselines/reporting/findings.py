@@ -88,7 +88,7 @@ def _counted(scenarios: Sequence[str]) -> str:
 
 
 def _tuning(report: Report) -> str:
-    """What searched gains bring each law, in the mean over the scenarios."""
+    """What searched gains bring each law, in the mean over the scenarios, and which laws have none."""
     gains = {}
     for name in report.policies:
         plain = name.removesuffix(TUNED)
@@ -102,7 +102,11 @@ def _tuning(report: Report) -> str:
     if not gains:
         return ""
     each = ", ".join(f"`{name}` {gain:+.3f}" for name, gain in gains.items())
-    return f"**Searched gains.** In the mean over scenarios they change the score of {each}."
+    bare = [name for name in report.policies if name + TUNED in POLICIES and name not in gains]
+    without = f" {', '.join(f'`{name}`' for name in bare)}: none searched yet." if bare else ""
+    return (
+        f"**Searched gains.** In the mean over scenarios they change the score of {each}.{without}"
+    )
 
 
 def _cells(report: Report, own: bool) -> list[tuple[Scenario, str, str]]:
