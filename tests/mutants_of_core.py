@@ -164,7 +164,7 @@ CORE = [
     Mutant("judging", "(not started) & (left <= 0.0)", "(not started) & (left < 0.0)"),
     Mutant("judging", "(not started) & (left <= 0.0)", "left <= 0.0"),
     Mutant("judging", "entries, tally.paid, rewards)", "entries, not tally.paid, rewards)"),
-    Mutant("judging", "Earned(tally.reward + earned)", "Earned(earned)"),
+    Mutant("judging", "Tally(tally.reward + earned,", "Tally(earned,"),
     Mutant("judging", "reward(started, left, error, action, x.previous, entries",
            "reward(started, left, error, x.previous, action, entries"),
     Mutant("judging", "pick(active, total_of_terms(terms), 0.0)", "total_of_terms(terms)"),

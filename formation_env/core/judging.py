@@ -230,31 +230,11 @@ class Failing(NamedTuple):
     failed: float
 
 
-class Failed(NamedTuple):
-    """A part of `Tally`."""
-
-    failed: float
-    paid: bool
-
-
 class Paid(NamedTuple):
     """A part of `Outcome`."""
 
     reward: float
     terms: Terms
-
-
-class Earned(NamedTuple):
-    """A part of `Tally`."""
-
-    reward: float
-
-
-class Payable(NamedTuple):
-    """A part of `Tally`."""
-
-    reward: float
-    paid: bool
 
 
 _NOTHING = Terms(*[0.0] * len(Terms._fields))
@@ -274,9 +254,9 @@ def failing(
     squares: Squares,
     touch: Touch,
     leader: Hardest,
-    tally: Failed,
+    tally: Tally,
     limits: Limits,
-) -> tuple[Failing, Failed]:
+) -> tuple[Failing, Tally]:
     """Separation and failure of a follower, and whether one of its world has failed.
 
     In a world that has not stepped none has. `touch` is the follower's, `leader` the leader's: a crash of the
@@ -289,7 +269,9 @@ def failing(
     own = active & (why != NO_FAILURE)
     crashed = (why == NO_FAILURE) & (leader.speed > limits.impact)
     failed = pick(active, pick(crashed, float(LEADER), float(why)), 0.0)
-    return Failing(separation, failed), Failed(max(tally.failed, failed), tally.paid | own)
+    return Failing(separation, failed), Tally(
+        tally.reward, max(tally.failed, failed), tally.paid | own
+    )
 
 
 fail = over_lanes(
@@ -297,7 +279,6 @@ fail = over_lanes(
     into=("outcome", "tally"),
     uniform=("limits",),
     leader=Touch,
-    tally=Tally,
     outcome=Outcome,
 )
 
@@ -318,10 +299,10 @@ def payment(
     leader: Hardest,
     action: Action,
     x: Previous,
-    tally: Payable,
+    tally: Tally,
     entries: int,
     rewards: Rewards,
-) -> tuple[Paid, Previous, Earned]:
+) -> tuple[Paid, Previous, Tally]:
     """The reward of a follower, its next previous action, and the world's sum.
 
     A world that has not stepped earns nothing. What one of the team fails in, all pay for: so the joint
@@ -333,7 +314,7 @@ def payment(
     return (
         Paid(earned, choose_terms(active, terms, _NOTHING)),
         Previous(_choose_action(active, action, x.previous)),
-        Earned(tally.reward + earned),
+        Tally(tally.reward + earned, tally.failed, tally.paid),
     )
 
 
@@ -345,7 +326,6 @@ pay = over_lanes(
     touch=Touch,
     leader=Touch,
     x=Follower,
-    tally=Tally,
     outcome=Outcome,
 )
 
