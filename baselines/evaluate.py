@@ -43,7 +43,7 @@ from formation_env import SCENARIOS, FormationConfig
 from formation_env.validation.checks import integer
 
 # Of the leaderboard: scenarios at their own action level, and at the other one of `wrench` and `rates`. At
-# `reference` the environment's own tracker flies, and everyone's score is that tracker's.
+# `reference` the environment's own tracker flies, and the score of every policy is that tracker's.
 BOARD_SCENARIOS = (
     *SCENARIOS,
     "nominal:rates",

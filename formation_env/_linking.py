@@ -53,14 +53,16 @@ class _Linked(JITCodeLibrary):  # type: ignore[misc]
         return _NoMachineCode(self._codegen)
 
     def _optimize_functions(self, module: Any) -> None:
-        # What Numba does to save memory before all is optimised. Code of steps is only optimised with the
-        # kernel, where each function that calls it would meet it in its longest form.
+        # Numba runs a first, cheap set of passes on every function. Where the module's passes follow they do
+        # the same again; code of steps has none of its own, and would make the kernel's slower without these.
         if self.optimised:
             module.data_layout = self._codegen._data_layout
         else:
             super()._optimize_functions(module)
 
     def _optimize_final_module(self) -> None:
+        # Numba runs a cheaper set of the same passes first, to prune reference counts in inlined code; the
+        # kernel has it.
         if self.optimised:
             passes, builder = self._codegen._module_pass_manager()
             passes.run(self._final_module, builder)

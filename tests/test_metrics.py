@@ -270,7 +270,7 @@ def test_starting_later_never_scores_more(delay: int) -> None:
 
 
 def test_a_crash_of_the_leader_is_a_failure_of_its_own_kind() -> None:
-    """A path that nobody can fly: the leader hits the floor, and no follower is to blame for it."""
+    """A path that cannot be flown: the leader hits the floor, and no follower has failed by itself."""
     path = splines.waypoints([0, 1, 2], [[0, 0, -1.5], [8, 0, -1.5], [0, 0, -1.5]])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

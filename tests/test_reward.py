@@ -38,7 +38,7 @@ HOVERING: dict[str, Any] = {"trajectory": trajectories.hover(), "start_offset": 
 
 
 def paid(started: bool, error: float, action: Any = CALM, previous: Any = CALM) -> float:
-    """The reward of one tick in which nobody fails."""
+    """The reward of one tick in which no follower fails."""
     return sum(reward(started, 0.0, error, action, previous, 4, False, WEIGHTS))
 
 

@@ -88,7 +88,7 @@ def test_every_scenario_has_gains_at_its_own_action_level(scenario: str) -> None
 
 @pytest.mark.parametrize(("scenario", "action"), SHIPPED)
 def test_shipped_gains_are_lawful_and_no_worse_than_the_expert(scenario: str, action: str) -> None:
-    """`lawful` checks theorems 1 and 2 and (53); the episodes are of seeds that nobody searched."""
+    """`lawful` checks theorems 1 and 2 and (53); the episodes are of seeds that no search used."""
     config = configure(scenario, action=action)
     tuned = ExpertTuned(config)
     law = lawful(config, tuned.gains)

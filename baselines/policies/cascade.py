@@ -24,7 +24,7 @@ DOWN = np.array((0.0, 0.0, 1.0))
 NORTH = np.array((1.0, 0.0, 0.0))
 
 _GAIN = Within(0.0, 1e6, strict=True)
-_SIDEWAYS, _UPWARDS = Within(0.0, 1e3, strict=True), Within(0.0, 0.99 * GRAVITY, strict=True)
+SIDEWAYS, UPWARDS = Within(0.0, 1e3, strict=True), Within(0.0, 0.99 * GRAVITY, strict=True)
 
 
 class LoopGains(NamedTuple):
@@ -39,8 +39,8 @@ class LoopGains(NamedTuple):
     velocity: Annotated[float, _GAIN] = 4.0  # 1/s
     attitude: Annotated[float, _GAIN] = 100.0  # 1/s^2
     rate: Annotated[float, _GAIN] = 20.0  # 1/s
-    sideways: Annotated[float, _SIDEWAYS] = 5.0  # m/s^2, most of the horizontal part
-    upwards: Annotated[float, _UPWARDS] = 5.0  # m/s^2, most of the vertical part, either way
+    sideways: Annotated[float, SIDEWAYS] = 5.0  # m/s^2, most of the horizontal part
+    upwards: Annotated[float, UPWARDS] = 5.0  # m/s^2, most of the vertical part, either way
 
 
 def loop_gains(gains: Any) -> LoopGains:

@@ -146,7 +146,6 @@ class Kalman(Estimator):
             np.full((worlds, n, 2, 3), np.nan),
             np.full((worlds, n, 3, 3), np.nan),
         )
-
         self._ticks = np.zeros((2, worlds, n), dtype=np.intp)
 
     def begin_again(self, mask: NDArray[np.bool_]) -> None:

@@ -20,7 +20,7 @@ from typing import Annotated, Any, NamedTuple, final
 
 import numpy as np
 
-from baselines.policies.cascade import AxisGains, Cascade, Limits
+from baselines.policies.cascade import SIDEWAYS, UPWARDS, AxisGains, Cascade, Limits
 from baselines.policies.parts import Tracker
 from baselines.policies.vectors import Floats
 from formation_env import FormationConfig
@@ -46,8 +46,8 @@ class LqrWeights(NamedTuple):
     rate: Annotated[float, _SIZE] = 3.0  # rad/s
     thrust: Annotated[float, _SIZE] = 0.25  # of the vehicle's most, less its weight
     turn: Annotated[float, _SIZE] = 0.25  # of the vehicle's most moment or rate, about each axis
-    sideways: Annotated[float, Within(0.0, 1e3, strict=True)] = 5.0  # m/s^2, as in `LoopGains`
-    upwards: Annotated[float, Within(0.0, 0.99 * GRAVITY, strict=True)] = 5.0  # m/s^2
+    sideways: Annotated[float, SIDEWAYS] = 5.0  # m/s^2, as in `LoopGains`
+    upwards: Annotated[float, UPWARDS] = 5.0  # m/s^2
 
 
 class Hover(NamedTuple):

@@ -29,7 +29,6 @@ class SlotMotion(NamedTuple):
     """The motion of every follower's slot in {F}, `(worlds, followers, 3)` and `(worlds, followers)`."""
 
     error: Floats  # m, slot minus vehicle
-    velocity_error: Floats  # m/s, the slot's velocity minus the vehicle's
     velocity: Floats  # m/s, of the slot
     acceleration: Floats  # m/s^2, of the slot
     turn_rate: Floats  # theta_dot, rad/s
@@ -43,7 +42,7 @@ def _over(a: Floats, d_x: Floats) -> Floats:
 
 def slot_motion(m: Measured) -> SlotMotion:
     """The motion of the slots. Finite for whatever is finite; numbers are limited to `MOST`."""
-    d, v = m.offset, in_frame(m.heading, m.motion.v)
+    d = m.offset
     V, A = in_frame(m.heading, m.leader.v), in_frame(m.heading, m.leader.a)
     d_x = d[..., 0]
     to_slot = in_frame(m.heading, m.leader.p - m.motion.p) - d
@@ -55,7 +54,7 @@ def slot_motion(m: Measured) -> SlotMotion:
     velocity = np.where(moving, V - each(rate) * across, 0.0)
     a = A - each(rate_dot) * across + each(rate * rate) * along
     acceleration = np.where(moving, np.clip(a, -MOST, MOST), 0.0)
-    return SlotMotion(to_slot, velocity - v, velocity, acceleration, np.where(m.started, rate, 0.0))
+    return SlotMotion(to_slot, velocity, acceleration, np.where(m.started, rate, 0.0))
 
 
 @final

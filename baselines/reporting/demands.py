@@ -46,7 +46,7 @@ class Demands(NamedTuple):
     thrust: (
         Percentiles  # of the followers, over the weight: the specific force along the thrust axis
     )
-    turn: Percentiles  # of the followers: see `turn_kind`
+    turn: Percentiles  # of the followers: the share of its limit on the body axis where that is largest
     leader_tilt: Percentiles  # deg
     speed: Percentiles  # m/s, of the leader
     acceleration: Percentiles  # m/s^2, of the leader
@@ -96,7 +96,7 @@ class _Watch:
             self._gathered[name].append(values.ravel())
 
     def _turn(self, simulation: Simulation, actions: NDArray[np.float32]) -> Floats:
-        """`turn_kind`'s share of every follower, `(worlds, followers)`."""
+        """The share of the limit of every follower, `(worlds, followers)`: see `ABOUT`."""
         if numbered(self._config.action) == REFERENCE:
             rates = simulation.angular_velocities[:, 1:] / np.array(self._config.vehicle.rate_max)
             return np.asarray(np.abs(rates).max(axis=-1))
@@ -110,11 +110,6 @@ def thrust_axes(attitudes: Floats) -> Floats:
     """The third body axis r3, inertial, of quaternions (w, x, y, z); `(..., 4)` to `(..., 3)`."""
     w, x, y, z = np.moveaxis(attitudes, -1, 0)
     return np.stack([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)], -1)
-
-
-def turn_kind(config: FormationConfig) -> str:
-    """What the share is of that `Demands.turn` measures: the largest of the three body axes'."""
-    return {"wrench": "moment", "rates": "rate commanded"}.get(config.action, "rate")
 
 
 def _percentiles(parts: list[Floats]) -> Percentiles:

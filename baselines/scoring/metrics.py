@@ -41,7 +41,7 @@ def deadline(config: FormationConfig) -> float:
 
 
 def window_ticks(config: FormationConfig) -> int:
-    """The ticks that are scored: all where nobody waits for the trigger (40), else those of `WINDOW`, or of
+    """The ticks that are scored: all where episodes begin in flight, else those of `WINDOW`, or of
     what the episode holds after the deadline, but at least half of the episode."""
     if config.start != "ground":
         return config.max_steps

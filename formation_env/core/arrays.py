@@ -337,9 +337,10 @@ def allocate(config: FormationConfig, worlds: int, max_steps: int, table_of: Flo
     count["over"][...] = 1
     # No start is waited for in the lanes without a world.
     count["started"][:, 0] = np.arange(sizes.tiles * LANES).reshape(-1, LANES) >= worlds
-    # These lanes are computed all the same: with an attitude, so that nothing divides by 0.
-    course_rows = rows(views["courses"], Course)
-    course_rows["turn"][:, 0] = course_rows["side"][...] = 1.0
+    # These lanes are computed all the same: with a path as it is given, and with an attitude, so that
+    # nothing divides by 0.
+    laid = rows(views["courses"], Course)
+    laid["turn"][:, 0] = laid["side"][...] = 1.0
     for name in ("vehicles", "samples"):
         rows(views[name], Measured)["q"][..., 0, :] = 1.0
     return memory

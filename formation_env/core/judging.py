@@ -305,8 +305,8 @@ def payment(
 ) -> tuple[Paid, Previous, Tally]:
     """The reward of a follower, its next previous action, and the world's sum.
 
-    A world that has not stepped earns nothing. What one of the team fails in, all pay for: so the joint
-    reward loses the same whatever the team's size, and nobody gains by the failure of another.
+    A world that has not stepped earns nothing. When one follower of a world has failed, each of them pays, so
+    the joint reward loses the same whatever their number, and no follower gains by the failure of another.
     """
     error = true_error(squares.error, touch, leader)
     terms = reward(started, left, error, action, x.previous, entries, tally.paid, rewards)

@@ -26,7 +26,7 @@ from formation_env.core.snapshots import check_snapshot
 from formation_env.core.threads import Team, cores
 from formation_env.memory.records import LANES, size, slices
 from formation_env.memory.store import Floats
-from formation_env.paths.course import Course
+from formation_env.paths.course import Course, lay_all
 from formation_env.paths.references import TrajectoryPoint
 from formation_env.paths.trajectory import sample
 from formation_env.physics.sensors import Measured
@@ -323,12 +323,9 @@ class Simulation:
         first = self._counters["first"][place] * self._config.control_period
         times = array("times", times, (None,)) + first
         points = sample(self._config.trajectory.kind, table, times)[:, :3]
-        turn, side = (rows(self._state.courses, Course)[n][...] for n in ("turn", "side"))
         tile, lane = divmod(world, LANES)
-        z = points[:, 0] + 1j * side[tile, 0, lane] * points[:, 1]
-        z *= complex(*turn[tile, :, lane])
-        points[:, 0], points[:, 1] = z.real, z.imag
-        return points
+        turn, side = (rows(self._state.courses, Course)[n][tile, :, lane] for n in Course._fields)
+        return lay_all(Course(complex(*turn), *side), points)
 
     # -- saving -----------------------------------------------------------------------------------
 

@@ -9,10 +9,12 @@ from __future__ import annotations
 from math import cos, pi, sin
 from typing import NamedTuple
 
+import numpy as np
+
 from formation_env._jit import device
 from formation_env.maths.rng import COURSE, uniforms
 from formation_env.maths.so3 import Vector
-from formation_env.paths.references import TrajectoryPoint
+from formation_env.paths.references import Floats, TrajectoryPoint
 
 
 class Courses(NamedTuple):
@@ -52,6 +54,12 @@ def lay(course: Course, a: Vector) -> Vector:
     """A vector of the path as it is given, where the episode's path has it; heights stay."""
     z = lay_direction(course, complex(a[0], a[1]))
     return (z.real, z.imag, a[2])
+
+
+def lay_all(course: Course, points: Floats) -> Floats:
+    """`lay` of many points `(N, 3)`, in NumPy, for which `lay` would have to be compiled apart."""
+    z = (points[:, 0] + 1j * course.side * points[:, 1]) * course.turn
+    return np.stack((z.real, z.imag, points[:, 2]), axis=1)
 
 
 @device
