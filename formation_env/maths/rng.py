@@ -51,11 +51,12 @@ def words(key: int, purpose: int, who: int, when: int, block: int) -> tuple[Any,
     exceeds 32 bits goes into the word of `block`, which holds it above its own 8 bits.
     """
     k, t = np.uint64(key), np.uint64(when)
+    # Where it is evident that a word has 32 bits its product is one instruction, else many.
     return philox(
         t & _LOW,
-        np.uint64(who),
-        np.uint64(purpose),
-        ((t >> _HALF) << _EIGHT) | np.uint64(block),
+        np.uint64(who) & _LOW,
+        np.uint64(purpose) & _LOW,
+        (((t >> _HALF) << _EIGHT) | np.uint64(block)) & _LOW,
         k & _LOW,
         k >> _HALF,
     )
