@@ -28,6 +28,7 @@ from formation_env.laws.levels import (
     numbered,
 )
 from formation_env.laws.world import follow, motion, track
+from formation_env.maths.rng import GUST, MEASUREMENT, normals
 from formation_env.memory.records import LANES, flatten, size
 from formation_env.paths.course import Course
 from formation_env.physics import quadrotor
@@ -88,7 +89,7 @@ def test_clocks_move_on_in_the_worlds_that_step() -> None:
     flight.move_on(counters, active, moving)
     expected = counted(tick=tick + active, clock=clock + moving, episode=3, over=1)
     np.testing.assert_array_equal(counters, expected)
-    counts = np.zeros(LANES, np.uint64)
+    counts = np.zeros(LANES, np.int64)
     flight.number_samples(counted(tick=tick), counts)
     np.testing.assert_array_equal(counts, tick + 1)
     starts = np.zeros(LANES, np.int64)
@@ -321,6 +322,22 @@ def test_a_speed_that_overflows_is_sound_in_no_part_of_three() -> None:
         rows(x, Measured)[part][0, 3] = value
         flight.note_unsound(x, touch)
         assert np.flatnonzero(np.isinf(rows(touch, Touch)["speed"][0])).tolist() == [3], part
+
+
+@pytest.mark.parametrize(("purpose", "who", "block"), [(MEASUREMENT, 0, 0), (GUST, 3, 2)])
+def test_normal_numbers_in_all_lanes_are_those_of_one_draw(
+    purpose: int, who: int, block: int
+) -> None:
+    """Bit for bit, each lane with a key and a count of its own; both beyond 32 bits."""
+    draw = drawn(9)
+    keys, counts = draw.integers(0, 2**63, LANES).astype(np.uint64), draw.integers(0, 2**40, LANES)
+    first, second = np.zeros((2, 2 * LANES), np.float32)
+    flight.draw_words(keys, counts, purpose, who, block, first, second)
+    flight.make_normal(first, second, 2)
+    for lane in range(LANES):
+        pairs = (tuple(x[lane::LANES].tolist()) for x in (first, second))
+        expected = normals(keys[lane], purpose, who, counts[lane], block)
+        assert flight.in_order(*pairs) == expected
 
 
 def test_the_acceleration_measured_is_that_of_the_truth() -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from formation_env._jit import device, loop
 from formation_env.core.arrays import Counters, Touch
 from formation_env.laws.world import Clock, follow
-from formation_env.maths.rng import MEASUREMENT, as_single, normal_pair, words
+from formation_env.maths.rng import Four, as_single, normal_pair, words
 from formation_env.maths.so3 import Vector, dot, pick
 from formation_env.memory.records import LANES
 from formation_env.memory.tiles import FLAGS, over_lanes
@@ -33,6 +33,7 @@ from formation_env.physics.sensors import (
 from formation_env.physics.turning import Turning, slow_by_moment, slow_by_rates, stays_up
 
 _ACTUATION = {"actuation": (MOMENT, RATES)}
+_LANES = np.uint64(LANES)
 
 
 class Position(NamedTuple):
@@ -214,6 +215,36 @@ def soundness(body: Body, touch: Touch) -> Hardest:
 
 note_unsound = over_lanes(soundness, into=("touch",), body=Measured, touch=Touch)
 
+# -- random numbers ------------------------------------------------------------------------------------------
+
+Pair = tuple[float, float]
+
+
+@device
+def random_words(key: int, count: int, purpose: int, who: int, block: int) -> tuple[Pair, Pair]:
+    """One block of random words: its first pair, and what makes them normal with them."""
+    a, b, c, d = words(key, purpose, who, count, block)
+    return (as_single(a), as_single(b)), (as_single(c), as_single(d))
+
+
+draw_words = over_lanes(random_words, into=("first", "second"), uniform=("purpose", "who", "block"))
+
+
+@loop
+def make_normal(first: Any, second: Any, rows: int) -> None:
+    """Normal numbers in place of words, in pairs of a number of each array."""
+    for row in range(np.uint64(rows)):
+        for lane in range(_LANES):
+            k = row * _LANES + lane
+            first[k], second[k] = normal_pair(first[k], second[k])
+
+
+@device
+def in_order(first: Pair, second: Pair) -> Four:
+    """The normal numbers of a block as `rng.normals` has them."""
+    return first[0], second[0], first[1], second[1]
+
+
 # -- measurements --------------------------------------------------------------------------------------------
 
 
@@ -227,27 +258,7 @@ def sensed_exactly(
 
 sense_exactly = over_lanes(sensed_exactly, into=("body",), uniform=("airframe",), body=Measured)
 
-Pair = tuple[float, float]
 Eight = tuple[float, float, float, float, float, float, float, float]
-
-
-@device
-def noise_words(key: int, count: int, who: int, block: int) -> tuple[Pair, Pair]:
-    """One block of random words for a measurement: its first pair, and what makes them normal with them."""
-    a, b, c, d = words(key, MEASUREMENT, who, count, block)
-    return (as_single(a), as_single(b)), (as_single(c), as_single(d))
-
-
-draw_words = over_lanes(noise_words, into=("first", "second"), uniform=("who", "block"))
-
-_PAIRS = np.uint64(8 * LANES)
-
-
-@loop
-def make_normal(draws: Any) -> None:
-    """Normal numbers in place of the words: rows 0-7 and 8-15 are the pairs."""
-    for k in range(_PAIRS):
-        draws[k], draws[k + _PAIRS] = normal_pair(draws[k], draws[k + _PAIRS])
 
 
 @device
@@ -266,10 +277,10 @@ def noisy(
     return perturb(
         exact,
         noise,
-        (first[0], second[0], first[1], second[1]),
-        (first[2], second[2], first[3], second[3]),
-        (first[4], second[4], first[5], second[5]),
-        (first[6], second[6], first[7], second[7]),
+        in_order(first[0:2], second[0:2]),
+        in_order(first[2:4], second[2:4]),
+        in_order(first[4:6], second[4:6]),
+        in_order(first[6:8], second[6:8]),
     )
 
 

@@ -14,6 +14,7 @@ from formation_env._jit import cold, device, step
 from formation_env.core import arrays, flight
 from formation_env.core.arrays import Counters, Touch
 from formation_env.laws.world import Clock
+from formation_env.maths.rng import MEASUREMENT
 from formation_env.maths.so3 import ZERO, Vector
 from formation_env.memory.records import LANES, at, line_loader, line_storer, loader, size, storer
 from formation_env.memory.shuffles import carve
@@ -82,8 +83,8 @@ def measure_with_noise(memory: Any, room: Any, t: int, i: int) -> None:
     for block in range(_BLOCKS):
         first = carve(draws, block * _PAIR * LANES, (_PAIR * LANES,))
         second = carve(draws, half + block * _PAIR * LANES, (_PAIR * LANES,))
-        flight.draw_words(keys, counts, i, block, first, second)
-    flight.make_normal(draws)
+        flight.draw_words(keys, counts, MEASUREMENT, i, block, first, second)
+    flight.make_normal(carve(draws, 0, (half,)), carve(draws, half, (half,)), _BLOCKS * _PAIR)
     flight.add_noise(
         arrays.command(room, i),
         arrays.touch(room, i),
