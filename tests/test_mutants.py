@@ -22,6 +22,7 @@ LAWS = (
         "flight",
         "judging",
         "measuring",
+        "disturbing",
         "neighbours",
         "nearest",
     ),

@@ -1,4 +1,4 @@
-"""The steps of a tick up to the headings: pushes, actions, references, commands, flight, sensors."""
+"""The steps of a tick from the actions to the headings: references, commands, flight, sensors."""
 
 from __future__ import annotations
 
@@ -18,9 +18,8 @@ from formation_env.core.measuring import (
 )
 from formation_env.core.neighbours import MOST_PAIRWISE
 from formation_env.laws.levels import command_follower
-from formation_env.laws.world import disturbed, hold_at, next_states, pushed
-from formation_env.maths.so3 import ZERO, Vector
-from formation_env.memory.records import LANES, at, line_storer, loader, size, storer
+from formation_env.laws.world import hold_at
+from formation_env.memory.records import LANES, at, line_storer, size
 from formation_env.memory.shuffles import (
     carve,
     clipped,
@@ -30,8 +29,6 @@ from formation_env.memory.shuffles import (
     restore,
     take_clipped,
 )
-from formation_env.physics import quadrotor
-from formation_env.physics.disturbances import States
 from formation_env.physics.sensors import FOLLOWERS_SENSE, Measured
 from formation_env.trajectories import TrajectoryPoint, evaluate
 
@@ -39,36 +36,9 @@ from formation_env.trajectories import TrajectoryPoint, evaluate
 # 65,536 worlds of `paper`, 6 % of one of 4,096 of `swarm`.
 _FETCHED = 64
 
-_TICK, _STARTED, _CLOCK, _FIRST = (
-    at(Counters, name) * LANES for name in ("tick", "started", "clock", "first")
-)
+_STARTED, _CLOCK, _FIRST = (at(Counters, name) * LANES for name in ("started", "clock", "first"))
 _VELOCITY, _MEASURED = at(Measured, "v"), size(Measured)
-_STATES = size(Measured) * LANES  # where the states of disturbances begin in a vehicle's rows
-_read_body = loader(quadrotor.Body, Measured)
-_store_push, _write_point = storer(Vector), line_storer(TrajectoryPoint)
-_read_states, _store_states = loader(States), storer(States)
-
-
-@cold
-def disturb(memory: Any, room: Any, t: int) -> None:
-    """What pushes the vehicles of the worlds that step from outside, held during this tick."""
-    world = arrays.world(memory)
-    if not disturbed(world):
-        return
-    active, count = arrays.active(room), arrays.counters(memory, t)
-    keys = arrays.episode_key(memory, t)
-    for i in range(arrays.vehicles(memory)):
-        x = arrays.vehicle(memory, t, i)
-        states = carve(x, _STATES, (len(x) - _STATES,))
-        for lane in range(LANES):
-            at_lane = np.uint64(lane)
-            if active[lane] == 0.0:
-                _store_push(arrays.push(room, i), at_lane, ZERO)
-            else:
-                body, before = _read_body(x, at_lane), _read_states(states, at_lane)
-                now = next_states(before, body, world, keys[lane], i, count[_TICK + lane])
-                _store_states(states, at_lane, now)
-                _store_push(arrays.push(room, i), at_lane, pushed(now, body, world))
+_write_point = line_storer(TrajectoryPoint)
 
 
 @step

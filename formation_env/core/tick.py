@@ -35,11 +35,11 @@ from formation_env.core.calls import (
     outputs_of,
     streamed,
 )
+from formation_env.core.disturbing import disturb
 from formation_env.core.episodes import start_episode
 from formation_env.core.measuring import in_hand, receive
 from formation_env.core.moving import (
     command,
-    disturb,
     fly,
     move_clocks,
     put_back,

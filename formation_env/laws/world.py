@@ -32,7 +32,7 @@ from formation_env.maths.so3 import (
     sub,
 )
 from formation_env.paths.course import Courses
-from formation_env.physics.disturbances import Parameters, over_table
+from formation_env.physics.disturbances import Parameters
 from formation_env.physics.quadrotor import (
     GRAVITY,
     MOMENT,
@@ -179,17 +179,3 @@ def within(p: Vector, target: Vector, radius: float) -> bool:
     """One term of the trigger (40): `|e1| < e_max`."""
     e = sub(p, target)
     return dot(e, e) < radius * radius
-
-
-# What disturbs a vehicle: whether anything does, the states of all disturbances a tick later, their push.
-disturbed = over_table(World, "disturbed", "line", "{acts}({parameters})", "either")
-next_states = over_table(
-    World,
-    "next_states",
-    "states, body, line, key, who, tick",
-    "{advance}({state}, body, {parameters}, key, who, tick)",
-    "States",
-)
-pushed = over_table(
-    World, "pushed", "states, body, line", "{push}({state}, body, {parameters})", "add"
-)

@@ -8,14 +8,12 @@ asks for (`turning.stays_up`) is its own size: a new row of the table needs noth
 
 from __future__ import annotations
 
-from functools import reduce
 from math import exp, sqrt
 from typing import Any, NamedTuple
 
 from formation_env._jit import device
-from formation_env.maths.rng import GUST, normals
-from formation_env.maths.so3 import Vector, add
-from formation_env.memory.records import define, part_loader
+from formation_env.maths.rng import GUST, Four
+from formation_env.maths.so3 import Vector
 from formation_env.physics.quadrotor import Body
 
 
@@ -39,9 +37,8 @@ def blows(gusts: Gusts) -> bool:
 
 
 @device
-def next_gust(before: Gust, body: Body, gusts: Gusts, key: int, who: int, tick: int) -> Gust:
-    """The next sample of the gust on vehicle `who`: independent of all others, stationary after its start."""
-    n = normals(key, GUST, who, tick, 0)
+def next_gust(before: Gust, body: Body, gusts: Gusts, tick: int, n: Four) -> Gust:
+    """The next sample of the gust on a vehicle, of standard normal numbers: stationary after its start."""
     a = before.a
     return Gust(
         (
@@ -64,6 +61,13 @@ def gusts_of(config: Any) -> Gusts:
     return Gusts(keep, config.gust * sqrt(1.0 - keep * keep))
 
 
+class Draws(NamedTuple):
+    """Four standard normal numbers that a disturbance gets for each tick."""
+
+    purpose: int  # of `rng`, for no other draw
+    common: bool = False  # whether all vehicles of a world get the same ones, or each its own
+
+
 class Disturbance(NamedTuple):
     """A row of the table."""
 
@@ -72,15 +76,15 @@ class Disturbance(NamedTuple):
     of: Any  # (configuration): its parameters
     state: Any  # a record, all zero at the start of an episode
     acts: Any  # (parameters): whether it does anything in this world
-    # (state, body, parameters, key, vehicle, tick): the state in this tick, the first being 0. The key is the
-    # episode's, for a draw with a purpose of its own in `rng`; vehicle 0 is the leader.
+    draws: Draws | None  # None: no numbers are drawn, and `advance` gets zeros
+    # (state, body, parameters, tick, normal numbers): the state in this tick, the first being 0.
     advance: Any
     push: Any  # (state, body, parameters): acceleration during this tick, m/s^2, inertial
 
 
 DISTURBANCES = (
     # In the order in which their pushes are added.
-    Disturbance("gusts", Gusts, gusts_of, Gust, blows, next_gust, gust_push),
+    Disturbance("gusts", Gusts, gusts_of, Gust, blows, Draws(GUST), next_gust, gust_push),
 )
 
 # The parameters of all of them, a field of `world.World`, and their states on one vehicle.
@@ -91,31 +95,3 @@ States: Any = NamedTuple("States", [(one.name, one.state) for one in DISTURBANCE
 def parameters(config: Any) -> Any:
     """The `Parameters` of a configuration."""
     return Parameters(*(one.of(config) for one in DISTURBANCES))
-
-
-def over_table(world: Any, name: str, arguments: str, term: str, whole: str) -> Any:
-    """A compiled function `name(arguments)` of every row of the table, in order.
-
-    `term` is the expression for a row: `{acts}`, `{advance}` and `{push}` are its own laws, `{state}` is its
-    field of `states`, `{parameters}` its field of `disturbances`, which is read from `line`, the numbers of a
-    record of type `world`. `whole` joins them: a class that takes them all, or a function of two.
-    """
-    names: dict[str, Any] = {"States": States, "add": add, "either": _either}
-    names["read"] = part_loader(world, "disturbances")
-    terms = []
-    for one in DISTURBANCES:
-        own = {"acts": one.acts, "advance": one.advance, "push": one.push}
-        names |= {f"{one.name}_{verb}": law for verb, law in own.items()}
-        laws = {verb: f"{one.name}_{verb}" for verb in own}
-        at = {"state": f"states.{one.name}", "parameters": f"read(line).{one.name}"}
-        terms.append(term.format(**laws, **at))
-    joined = f"States({', '.join(terms)})"
-    if whole != "States":
-        joined = reduce(lambda a, b: f"{whole}({a}, {b})", terms)
-    source = f"def {name}({arguments}):\n    return {joined}\n"
-    return device(define(name, source, names))
-
-
-@device
-def _either(a: bool, b: bool) -> bool:
-    return a or b
