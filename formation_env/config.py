@@ -91,13 +91,16 @@ class FormationConfig:
     the field where a value is impossible; warns with `FeasibilityWarning` where only the sufficient
     bound (29)-(30) against an inversion of a virtual follower fails.
 
+    `FormationConfig()` itself is none of the scenarios: it has no gusts, lasts 20 s, and its name is
+    "custom", by which no gains and no policies are found; `configure()` is `nominal`.
+
     Every field also takes its JSON form (`to_dict`): lists, numbers, names and dictionaries. A
     dictionary may leave out fields of a part: `noise={"position": 0.1}` is the default with another
     position noise, and for `configure` the scenario's. What is stored is what was checked: plain
     `float` and `int`, tuples, and the parts as objects.
     """
 
-    scenario: str = "nominal"
+    scenario: str = "custom"  # its name, by which gains and policies are looked up
     offsets: tuple[Vector, ...] = ((0.35, 0.35, -0.3), (0.35, -0.35, -0.3))  # d_i
     trajectory: Trajectory = field(default_factory=figure_eight)
     path: str = "drawn"  # turned, mirrored and begun elsewhere in every episode; or "as given"
