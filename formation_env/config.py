@@ -281,8 +281,13 @@ class FormationConfig:
         return ACTUATIONS[self.reference_actuation] if own is None else own
 
     def feasibility(self) -> tuple[Feasibility, ...]:
-        """Report on (23)-(30) for every follower along the leader's trajectory."""
-        return _feasibility(self.offsets, self.trajectory, judged(self.trajectory, self.span))
+        """Report on (23)-(30) for every follower along the leader's trajectory, wherever episodes begin."""
+        return self._feasibility_of(self.offsets)
+
+    def _feasibility_of(self, offsets: tuple[Vector, ...]) -> tuple[Feasibility, ...]:
+        starts = self.phases * self.control_period
+        flown = judged(self.trajectory, self.duration)
+        return _feasibility(offsets, self.trajectory, starts + flown, starts)
 
     @property
     def phases(self) -> int:
@@ -298,11 +303,18 @@ class FormationConfig:
         return self.duration + self.phases * self.control_period
 
     def _courses(self) -> Courses:
-        """How the paths of episodes lie; the mirror image is that of a formation which is mirrored."""
+        """How the paths of episodes lie.
+
+        On the mirror image a formation flies as its own image on the path. It is drawn only where none
+        inverts there; the path as it is given in any case, since of an inversion there the user was warned.
+        """
         if self.path == "as given":
             return Courses(0, 0, 0)
-        image = tuple((x, -y, z) for x, y, z in self.offsets)
-        reports = _feasibility(image, self.trajectory, judged(self.trajectory, self.span))
+        own = dict(zip(self.offsets, self.feasibility(), strict=True))
+        image = [(x, -y, z) for x, y, z in self.offsets]
+        reports = [own[d] for d in image if d in own]
+        if len(reports) < len(image):
+            reports += self._feasibility_of(tuple(d for d in image if d not in own))
         return Courses(1, int(not any(report.inverts for report in reports)), self.phases)
 
     def ground_places(self) -> tuple[Vector, ...]:
@@ -377,6 +389,6 @@ def quietly(
 
 @lru_cache(maxsize=64)
 def _feasibility(
-    offsets: tuple[Vector, ...], trajectory: Trajectory, duration: float
+    offsets: tuple[Vector, ...], trajectory: Trajectory, duration: float, starts: float
 ) -> tuple[Feasibility, ...]:
-    return check(np.array(offsets), trajectory, duration)
+    return check(np.array(offsets), trajectory, duration, starts)

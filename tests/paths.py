@@ -50,6 +50,14 @@ def sines(north: Waves, east: Waves, drift: float = 0.0) -> Trajectory:
     return Trajectory("sines", "sines", np.array(table, dtype=float))
 
 
+def begun(curve: Trajectory, at: float) -> Trajectory:
+    """A path of sines that begins at another of its points."""
+    table = curve.table.copy()
+    amplitude_rate_phase = table[7:].reshape(-1, 3)
+    amplitude_rate_phase[:, 2] += amplitude_rate_phase[:, 1] * at
+    return Trajectory(curve.name, curve.kind, table)
+
+
 closed_forms = st.one_of(
     st.builds(trajectories.figure_eight, st.tuples(sizes, sizes), st.floats(0.1, 1.0), heights),
     st.builds(trajectories.lemniscate, sizes, speeds, heights, angles),

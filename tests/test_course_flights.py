@@ -11,6 +11,7 @@ import numpy.typing as npt
 import pytest
 from courses import matrix, uniform_angles
 from numba import config as numba_config
+from paths import begun
 from states import counters, outcome
 
 from formation_env import FeasibilityWarning, configure, formation_v0, splines, trajectories
@@ -179,6 +180,47 @@ def test_a_mirror_image_that_cannot_be_followed_is_not_drawn() -> None:
     assert sides[1.2] == ([False], {1.0})
     assert sides[-1.2] == ([True], {-1.0, 1.0})  # as given it inverts, which a warning tells
     assert sides[0.4] == ([False], {-1.0, 1.0})
+
+
+def slowest_slots(simulation: Simulation, ticks: int) -> Floats:
+    """Least speed of the first follower's slot along its heading in so many ticks, m/s, by world."""
+    d, period = complex(*simulation.config.offsets[0][:2]), simulation.config.control_period
+    hover = np.zeros((simulation.num_worlds, simulation.config.followers, 4), np.float32)
+    slots, headings = [], []
+    for _ in range(ticks):
+        simulation.step(hover)
+        slots.append(simulation.slots[:, 0, :2] @ (1.0, 1.0j))
+        headings.append((simulation.leaders[:, :2] @ (1.0, 1.0j) - slots[-1]) / d)
+    assert not simulation.over.any()
+    speeds = np.diff(slots, axis=0) * np.conj(headings[1:]) / period
+    return np.asarray(speeds.real.min(axis=0))
+
+
+@flies
+def test_what_inverts_on_the_given_path_is_flown_there_and_not_on_its_image() -> None:
+    """As the user has been warned; half of the episodes are without."""
+    options = {
+        **BESIDE,
+        "offsets": ((0.4, -1.2, -0.3),),
+        "limits": {"lost": 1e3, "collision": 1e-3},
+    }
+    simulation = started(40, **options, start_offset=0.0, **CALM)
+    sides = [course_of(simulation, w)[0].side for w in range(40)]
+    slowest = slowest_slots(simulation, 300)
+    assert (slowest[np.equal(sides, 1.0)] < -0.05).all()
+    assert (slowest[np.equal(sides, -1.0)] > 0.05).all()
+
+
+@flies
+@pytest.mark.parametrize("path", ["drawn", "as given"])
+def test_what_is_told_of_inversions_is_what_episodes_fly(path: str) -> None:
+    """This follower moves forwards from the first point of the path on, and backwards from most others."""
+    curve, d = begun(trajectories.figure_eight(), 14.0), (1.0, 0.2, -0.3)
+    options = {"trajectory": curve, "offsets": (d,), "path": path, "start_offset": 0.0}
+    simulation = started(40, **options, **CALM, limits={"lost": 1e3, "collision": 1e-3})
+    (report,) = simulation.config.feasibility()
+    backwards = (slowest_slots(simulation, 1000) < 0.0).mean()
+    assert (report.inverts, backwards > 0.5, backwards > 0.0) == (path == "drawn",) * 3
 
 
 # -- the flight is the same ------------------------------------------------------------------------------
