@@ -153,6 +153,7 @@ def test_a_small_search_improves_detuned_gains(
     assert main([*TINY, "--output", f"{tmp_path / 'a'}", "--gains", f"{gains}"]) == 0
     made = json.loads(gains.read_text())["gains"]["nominal"]["wrench"]["made"]
     assert made["score"][1] > 0.0 and made["score_minus_expert"][1] > 0.0
+    assert "return" not in made
     assert made["seed"] == 1 and made["command"].startswith("formation-tune-expert --episodes 4 ")
     assert list(read(gains)) == [("nominal", "wrench")]
 

@@ -79,7 +79,6 @@ def provenance(options: Options, best: BestGains) -> dict[str, Any]:
         "training": [TUNING_SEEDS, TUNING_SEEDS + options.episodes - 1],
         "validation": [validation.start, validation.stop - 1],
         "score": _interval(result.score),
-        "return": _interval(result.summary["return"]),
         "score_minus_expert": _interval(result.differences["expert"]["score"]),
         "failed": _interval(result.summary["failed"]),
     }
