@@ -91,13 +91,16 @@ class FormationConfig:
     the field where a value is impossible; warns with `FeasibilityWarning` where only the sufficient
     bound (29)-(30) against an inversion of a virtual follower fails.
 
+    `FormationConfig()` itself is none of the scenarios: it has no gusts, lasts 20 s, and its name is
+    "custom", by which no gains and no policies are found; `configure()` is `nominal`.
+
     Every field also takes its JSON form (`to_dict`): lists, numbers, names and dictionaries. A
     dictionary may leave out fields of a part: `noise={"position": 0.1}` is the default with another
     position noise, and for `configure` the scenario's. What is stored is what was checked: plain
     `float` and `int`, tuples, and the parts as objects.
     """
 
-    scenario: str = "nominal"
+    scenario: str = "custom"  # its name, by which gains and policies are looked up
     offsets: tuple[Vector, ...] = ((0.35, 0.35, -0.3), (0.35, -0.35, -0.3))  # d_i
     trajectory: Trajectory = field(default_factory=figure_eight)
     path: str = "drawn"  # turned, mirrored and begun elsewhere in every episode; or "as given"
@@ -278,8 +281,13 @@ class FormationConfig:
         return ACTUATIONS[self.reference_actuation] if own is None else own
 
     def feasibility(self) -> tuple[Feasibility, ...]:
-        """Report on (23)-(30) for every follower along the leader's trajectory."""
-        return _feasibility(self.offsets, self.trajectory, judged(self.trajectory, self.span))
+        """Report on (23)-(30) for every follower along the leader's trajectory, wherever episodes begin."""
+        return self._feasibility_of(self.offsets)
+
+    def _feasibility_of(self, offsets: tuple[Vector, ...]) -> tuple[Feasibility, ...]:
+        starts = self.phases * self.control_period
+        flown = judged(self.trajectory, self.duration)
+        return _feasibility(offsets, self.trajectory, starts + flown, starts)
 
     @property
     def phases(self) -> int:
@@ -295,11 +303,18 @@ class FormationConfig:
         return self.duration + self.phases * self.control_period
 
     def _courses(self) -> Courses:
-        """How the paths of episodes lie; the mirror image is that of a formation which is mirrored."""
+        """How the paths of episodes lie.
+
+        On the mirror image a formation flies as its own image on the path. It is drawn only where none
+        inverts there; the path as it is given in any case, since of an inversion there the user was warned.
+        """
         if self.path == "as given":
             return Courses(0, 0, 0)
-        image = tuple((x, -y, z) for x, y, z in self.offsets)
-        reports = _feasibility(image, self.trajectory, judged(self.trajectory, self.span))
+        own = dict(zip(self.offsets, self.feasibility(), strict=True))
+        image = [(x, -y, z) for x, y, z in self.offsets]
+        reports = [own[d] for d in image if d in own]
+        if len(reports) < len(image):
+            reports += self._feasibility_of(tuple(d for d in image if d not in own))
         return Courses(1, int(not any(report.inverts for report in reports)), self.phases)
 
     def ground_places(self) -> tuple[Vector, ...]:
@@ -374,6 +389,6 @@ def quietly(
 
 @lru_cache(maxsize=64)
 def _feasibility(
-    offsets: tuple[Vector, ...], trajectory: Trajectory, duration: float
+    offsets: tuple[Vector, ...], trajectory: Trajectory, duration: float, starts: float
 ) -> tuple[Feasibility, ...]:
-    return check(np.array(offsets), trajectory, duration)
+    return check(np.array(offsets), trajectory, duration, starts)

@@ -56,7 +56,11 @@ def nominal(followers: int = 2) -> FormationConfig:
     so that the formation has to be kept, not only reached.
     """
     return FormationConfig(
-        offsets=_rows(formations.stack(followers)), gust=0.04, gust_time=0.5, duration=26.0
+        scenario="nominal",
+        offsets=_rows(formations.stack(followers)),
+        gust=0.04,
+        gust_time=0.5,
+        duration=26.0,
     )
 
 

@@ -38,10 +38,10 @@ class Observation(NamedTuple):
     """
 
     slot_error: Annotated[
-        Vector, Quantity("m", "{F}", "R^T(p_L - p) - d: (7) for the vehicle itself", NEAR)
+        Vector, Quantity("m", "{F}", "R^T(p_L - p) - d: (7) for the vehicle itself", NEAR, 0.3)
     ]
     relative_velocity: Annotated[
-        Vector, Quantity("m/s", "{F}", "leader's velocity minus own", RATE_BOUND)
+        Vector, Quantity("m/s", "{F}", "leader's velocity minus own", RATE_BOUND, 0.3)
     ]
     leader_velocity: Annotated[Vector, Quantity("m/s", "{F}", "leader's velocity", RATE_BOUND)]
     leader_acceleration: Annotated[
@@ -49,20 +49,21 @@ class Observation(NamedTuple):
     ]
     body_x: Annotated[Vector, Quantity("1", "{F}", "first body axis r1", UNIT)]
     body_z: Annotated[
-        Vector, Quantity("1", "{F}", "third body axis r3; thrust acts along -r3", UNIT)
+        Vector, Quantity("1", "{F}", "third body axis r3; thrust acts along -r3", UNIT, 0.2)
     ]
     angular_velocity: Annotated[Vector, Quantity("rad/s", "body", "omega", RATE_BOUND)]
     heading: Annotated[
         tuple[float, float],
         Quantity("1", "inertial", "cos and sin of the estimated theta (23)", UNIT),
     ]
-    offset: Annotated[Vector, Quantity("m", "{F}", "d, where the leader should be seen", NEAR)]
+    offset: Annotated[Vector, Quantity("m", "{F}", "d, where the leader should be seen", NEAR, 0.5)]
     previous_action: Annotated[
-        Action, Quantity("1", "-", "last action as executed, padded with zeros", UNIT)
+        Action, Quantity("1", "-", "last action as executed, padded with zeros", UNIT, 0.5)
     ]
     started: Annotated[float, Quantity("1", "-", "1 once the trigger (40) has fired", UNIT)]
+    # So large that networks hardly see it: what to do does not depend on where in the world one flies.
     position: Annotated[
-        Vector, Quantity("m", "inertial", "own measured position, north-east-down", ANYWHERE)
+        Vector, Quantity("m", "inertial", "own measured position, north-east-down", ANYWHERE, 100.0)
     ]
 
 
@@ -85,6 +86,7 @@ class Entry(NamedTuple):
     unit: str
     frame: str
     meaning: str
+    typical: float
 
 
 def entries(kind: Any) -> tuple[Entry, ...]:
@@ -93,8 +95,10 @@ def entries(kind: Any) -> tuple[Entry, ...]:
         return ()
     found = []
     for name, note in notes(kind).items():
-        of = fields(kind)[name]
-        found.append(Entry(name, size(of), note.bound, note.unit, note.frame, note.meaning))
+        numbers = size(fields(kind)[name])
+        found.append(
+            Entry(name, numbers, note.bound, note.unit, note.frame, note.meaning, note.typical)
+        )
     return tuple(found)
 
 
@@ -332,7 +336,7 @@ class Layout:
 
     `layout.slices["slot_error"]` is where an entry lies; `unpack` gives a dictionary of views on rows
     of any leading shape, `pack` the reverse. Neighbour entries are grouped: `neighbour_position` has
-    shape `(..., neighbours, 3)`.
+    shape `(..., neighbours, 3)`. `bound` and `typical` have what `Quantity` says of every number of a row.
     """
 
     version = 1
@@ -347,11 +351,10 @@ class Layout:
             start += entry.size
         self.first_neighbour = start
         self.size = start + neighbours * size(Neighbour)
-        bounds = [np.full(entry.size, entry.bound) for entry in self.entries]
-        each = [np.full(entry.size, entry.bound) for entry in NEIGHBOUR_ENTRIES]
-        self.bound: NDArray[np.float32] = np.concatenate(bounds + each * neighbours).astype(
-            np.float32
-        )
+        each = (*self.entries, *NEIGHBOUR_ENTRIES * neighbours)
+        sizes = [entry.size for entry in each]
+        self.bound = np.repeat(np.array([entry.bound for entry in each], np.float32), sizes)
+        self.typical = np.repeat(np.array([entry.typical for entry in each], np.float32), sizes)
 
     def unpack(self, rows: NDArray[Any]) -> dict[str, NDArray[Any]]:
         """Views on the named entries of `rows`, shape `(..., size)`; raises `ValueError` on another size."""

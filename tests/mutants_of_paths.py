@@ -183,6 +183,10 @@ PATHS = [
     Mutant("feasibility", "headings.real - d_y / d_x * headings.imag",
            "headings.real + d_y / d_x * headings.imag"),
     Mutant("feasibility", "out[n] = R * v[i].conjugate() / speed", "out[n] = R * v[i] / speed"),
+    Mutant("feasibility", "0 < i <= last and", "0 < i and"),
+    Mutant("feasibility", "side * out[n].imag < 0.0", "out[n].imag < 0.0"),
+    Mutant("feasibility", "(1.0, -1.0) if last > 0", "(-1.0, 1.0)[:1] if last > 0"),
+    Mutant("feasibility", "int(starts / path.step)", "int(0.1 * starts / path.step)"),
     # Formations: where each helper puts the followers, rigidity, the least distance.
     Mutant("formations", "(1.0 - 2.0 * side)", "(1.0 + 2.0 * side)"),
     Mutant("formations", "below - spacing * level", "below + spacing * level"),

@@ -119,8 +119,8 @@ WORLDS = [
     Mutant("task", "a[2] * a[2] + a[3] * a[3]", "a[2] * a[2] + a[3]"),
     Mutant("task", "return float(np.sqrt(dot(e, e)))", "return float(dot(e, e))"),
     Mutant("task", "self.size = start + neighbours * size(Neighbour)", "self.size = start + size(Neighbour)"),
-    Mutant("task", "np.concatenate(bounds + each * neighbours)",
-           "np.concatenate(each * neighbours + bounds)"),
+    Mutant("task", "(*self.entries, *NEIGHBOUR_ENTRIES * neighbours)",
+           "(*NEIGHBOUR_ENTRIES * neighbours, *self.entries)"),
     Mutant("task", "rows[..., self.first_neighbour :]",
            "rows[..., : self.neighbours * size(Neighbour)]"),
     # The random numbers: Philox, the counter's words, uniform and normal numbers.

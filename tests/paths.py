@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from hypothesis import strategies as st
 
@@ -36,6 +38,24 @@ def paths(draw: st.DrawFn) -> Trajectory:
     gaps = draw(st.lists(st.floats(1.0, 3.0), min_size=count - 1, max_size=count - 1))
     points = draw(st.lists(coordinates, min_size=count, max_size=count))
     return splines.waypoints(np.cumsum([0.0, *gaps]), points)
+
+
+Waves = Sequence[tuple[float, float, float]]  # amplitude (m), rate (rad/s), phase (rad)
+
+
+def sines(north: Waves, east: Waves, drift: float = 0.0) -> Trajectory:
+    """Equally many sines along north and east, at 2 m, drifting north (m/s)."""
+    level = [(0.0, 1.0, 0.0)] * len(north)
+    table = [len(north), 0.0, 0.0, -2.0, drift, 0.0, 0.0, *np.ravel([*north, *east, *level])]
+    return Trajectory("sines", "sines", np.array(table, dtype=float))
+
+
+def begun(curve: Trajectory, at: float) -> Trajectory:
+    """A path of sines that begins at another of its points."""
+    table = curve.table.copy()
+    amplitude_rate_phase = table[7:].reshape(-1, 3)
+    amplitude_rate_phase[:, 2] += amplitude_rate_phase[:, 1] * at
+    return Trajectory(curve.name, curve.kind, table)
 
 
 closed_forms = st.one_of(

@@ -160,6 +160,7 @@ def observation_entry() -> None:
     assert (entries["uprightness"] < 0.999).all()
     mean, scale = fixed_scales(configure().layout)
     assert len(mean) == len(scale) == rows.shape[1]
+    assert named(scale)["uprightness"] == np.float32(0.05)
     manual("| 34 | `uprightness` | 1 | inertial | r3 . k, 1 when level | 1 |")
     assert_expert_keeps_its_slot()
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from formation_env import (
+    SCENARIOS,
     FeasibilityWarning,
     FormationConfig,
     Noise,
@@ -176,6 +177,16 @@ def test_nobody_shares_a_default() -> None:
     config = FormationConfig(offsets=offsets)  # type: ignore[arg-type]
     offsets[0][0] = 9.0
     assert config.offsets == ((0.4, 0.0, -0.4),)
+
+
+def test_a_configuration_made_directly_is_none_of_the_scenarios() -> None:
+    """Nor does a change make it one; the defaults, where the trajectory fails (29)-(30), warn."""
+    with pytest.warns(FeasibilityWarning, match="none moves backwards"):
+        config = FormationConfig()
+    assert config.scenario not in SCENARIOS
+    assert configure(config, duration=26.0, gust=0.04, gust_time=0.5).scenario == config.scenario
+    assert configure(config.to_dict()) == config
+    assert configure().scenario == configure({}).scenario == "nominal"
 
 
 def test_a_configuration_warns_when_it_is_made_and_not_again() -> None:

@@ -22,7 +22,7 @@ import pytest
 from episodes import gentle, wild
 from numba import config
 
-from formation_env import Limits, Noise
+from formation_env import Limits, Noise, configure
 from formation_env.env import FormationEnv
 from formation_env.vector import FormationVectorEnv
 
@@ -42,6 +42,21 @@ class Task(NamedTuple):
     every: int = 20
 
 
+# On the floor below the slots and below the leader's first point, each 1.2 to 1.6 m from where it starts: the
+# trigger (40) fires when those that climb, the leader among them, are within 1.3 m.
+BELOW = {
+    "paper": {
+        "leader_start": (2.0, 0.0, 0.0),
+        "follower_starts": ((2.35, -0.35, 0.0), (1.65, -0.35, 0.0)),
+        "trigger": 1.3,
+    },
+    "experiment": {
+        "leader_start": (1.06, 1.06, 0.0),
+        "follower_starts": ((1.555, 1.06, 0.0), (1.06, 0.565, 0.0)),
+        "trigger": 1.3,
+    },
+}
+
 TASKS = {
     "nominal": Task({"scenario": "nominal"}),
     "paper": Task({"scenario": "paper"}),
@@ -51,6 +66,12 @@ TASKS = {
     "nominal-rates": Task({"action": "rates"}),
     "reference-by-rates": Task({"action": "reference", "reference_actuation": "rates"}),
     "experiment-reference": Task({"scenario": "experiment", "action": "reference"}),
+    # From the floor, and after the trigger; the three without a `-started` wait for it to the end.
+    "paper-started": Task({"scenario": "paper", **BELOW["paper"]}),
+    "experiment-started": Task({"scenario": "experiment", **BELOW["experiment"]}),
+    "experiment-reference-started": Task(
+        {"scenario": "experiment", "action": "reference", **BELOW["experiment"]}
+    ),
     "gusts": Task({"gust": 0.5, "gust_time": 0.4}),
     "differenced": Task({"estimator": "differenced", "window": 10, "noise": NOISE}),
     # Measurements that come late: of every tick, of less than every tick, of more.
@@ -147,6 +168,22 @@ def test_v0_flies_as_it_always_did(task: str) -> None:
     if config.DISABLE_JIT and task.startswith("crowd"):
         pytest.skip("plain Python warns of infinity minus infinity among many vehicles")
     compare(task, record(task))
+
+
+def test_all_fly_after_the_trigger_but_for_those_that_wait_for_it() -> None:
+    """In the stored observations; of those that wait and start, more than half is flight after it."""
+    for task, (options, steps, every) in TASKS.items():
+        config = configure(**options)
+        with np.load(FOLDER / f"{task}.npz") as stored:
+            rows = stored["observations"].reshape(-1, config.followers, config.layout.size)
+        begun = config.layout.unpack(rows)["started"][:, 0, 0] == 1.0
+        assert len(begun) == 1 + steps // every
+        if f"{task}-started" in TASKS:
+            assert not begun.any()
+        elif task.endswith("-started"):
+            assert not begun[:2].any() and begun[5:].all()
+        else:
+            assert begun.all()
 
 
 @pytest.mark.parametrize("task", SEVERAL)

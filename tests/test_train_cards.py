@@ -7,94 +7,34 @@ import json
 import math
 import re
 import shlex
-import shutil
-import sys
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from training_runs import (
+    CONFIG,
+    a_run,
+    bare_checkout,
+    card,
+    contents,
+    main,
+    policy,
+    refused,
+    row,
+    rows_of,
+)
 
 from baselines import files
-from baselines.files import Card, Network
-from formation_env import configure
 from train import cards
 from train.cards import guide, shipping
 from train.cards.curves import Curve, Key, read_curve, read_log, thinned, to_text
-from train.log import LogRow, to_csv
-
-CONFIG = configure("nominal")
-
-
-def row(steps: int, score: float, seed: int = 3) -> LogRow:
-    return LogRow(
-        steps, steps / 1e6, score, score - 0.01, score + 0.01, 2.0 * score, 0.1, 0.0, seed
-    )
-
-
-def rows_of(count: int, best: int) -> tuple[LogRow, ...]:
-    return tuple(row(1000 * i, 2.0 if i == best else 1.0 - math.exp(-i / 30)) for i in range(count))
-
-
-def policy(scale: float = 0.1, entries: int = CONFIG.layout.size, hidden: int = 8) -> Network:
-    rng = np.random.default_rng(5)
-    sizes = [entries, hidden, CONFIG.action_size]
-    weights = tuple(
-        (scale * rng.standard_normal((b, a))).astype(np.float32) for a, b in pairwise(sizes)
-    )
-    zeros = np.zeros(entries, np.float32)
-    return Network(weights, tuple(np.zeros(len(w), np.float32) for w in weights), zeros, zeros + 1)
-
-
-def card(**given: object) -> Card:
-    usual: dict[str, object] = {
-        "action": "wrench",
-        "entries": CONFIG.layout.size,
-        "action_size": 4,
-        "scenario": "nominal",
-        "method": "ppo",
-        "command": "python -m train.ppo --seed 3",
-        "seed": 3,
-        "steps": 5000,
-        "score": {"nominal": [0.5, 0.4, 0.6]},
-    }
-    return Card(**{**usual, **given})  # type: ignore[arg-type]
-
-
-def a_run(folder: Path, made: Card | None = None, network: Network | None = None) -> Path:
-    folder.mkdir()
-    files.save(folder / "best.safetensors", made or card(), network or policy())
-    (folder / "log.csv").write_text(to_csv(list(rows_of(6, 3))))
-    return folder
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+from train.log import to_csv
 
 
 @pytest.fixture
 def checkout(tmp_path: Path, root: Path) -> Path:
-    """With the real template and nothing else."""
-    folder = tmp_path / "checkout"
-    (folder / "train").mkdir(parents=True)
-    (folder / "baselines").mkdir()
-    shutil.copy(root / guide.TEMPLATE, folder / guide.TEMPLATE)
-    return folder
-
-
-def main(checkout: Path, *words: object) -> int:
-    return cards.main([*map(str, words), "--checkout", str(checkout), "--threads", "1"])
-
-
-def refused(checkout: Path, capsys: pytest.CaptureFixture[str], names: str, *words: object) -> None:
-    """One line on stderr, status 2, nothing changed."""
-    before = contents(checkout)
-    with pytest.raises(SystemExit) as end:
-        main(checkout, *words)
-    message = capsys.readouterr().err
-    assert end.value.code == 2 and message.count("\n") == 1, message
-    assert names in message
-    assert contents(checkout) == before
+    return bare_checkout(tmp_path, root)
 
 
 # -- what is checked in here ----------------------------------------------------------------------
@@ -325,79 +265,3 @@ def test_the_tasks_are_others_than_the_one_trained_on() -> None:
         tasks = shipping.tasks(action)
         assert {config.action for config in tasks.values()} == {action}
         assert len({(c.scenario, c.offsets) for c in tasks.values()}) == len(tasks) == 8
-
-
-# -- refusals -------------------------------------------------------------------------------------
-
-
-def test_ship_refuses_what_is_no_finished_run(
-    checkout: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run = a_run(tmp_path / "run")
-    refused(checkout, capsys, "no best.safetensors", "--ship", tmp_path / "nowhere")
-    (run / "log.csv").write_text("steps\n1\n")
-    refused(checkout, capsys, "log.csv: expected a log", "--ship", run)
-    (run / "log.csv").write_text(to_csv([row(1, 0.5, seed=4)]))
-    refused(checkout, capsys, "seed 4", "--ship", run)
-    (run / "log.csv").unlink()
-    refused(checkout, capsys, "no log.csv", "--ship", run)
-    (run / "log.csv").write_text(to_csv([row(1, 0.5)]))
-    (run / "best.safetensors").write_bytes(b"not a policy")
-    refused(checkout, capsys, "best.safetensors: not a whole", "--ship", run)
-
-
-def test_ship_refuses_a_policy_that_does_not_fit_or_is_too_large(
-    checkout: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    short = a_run(tmp_path / "short", card(entries=7), policy(entries=7))
-    refused(checkout, capsys, "observation entries", "--ship", short)
-    odd = a_run(tmp_path / "odd", card(scenario="elsewhere"))
-    refused(checkout, capsys, "'elsewhere'", "--ship", odd)
-    unknown = a_run(tmp_path / "unknown", card(method="home-made"))
-    refused(checkout, capsys, "'home-made'", "--ship", unknown)
-    large = a_run(tmp_path / "large", None, policy(hidden=6000))
-    refused(checkout, capsys, "bytes: expected at most", "--ship", large)
-
-
-def test_wrong_options_and_folders_are_refused(
-    checkout: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run = a_run(tmp_path / "run")
-    refused(checkout, capsys, "--method", "--method", "ppo")
-    refused(checkout, capsys, "--method", "--ship", run, "--method", "../ppo")
-    refused(checkout, capsys, "no policy of 'nominal'", "--generalise")
-    refused(tmp_path / "run", capsys, "expected a checkout", "--curve", run)
-    refused(checkout, capsys, "no best", "--curve", run, tmp_path / "nowhere")
-    (checkout / shipping.CURVES).mkdir(parents=True)
-    (checkout / shipping.CURVES / "mine.csv").write_text(to_csv([row(1, 0.5)]))
-    refused(checkout, capsys, "mine.csv: expected a name")
-    (checkout / shipping.CURVES / "mine.csv").unlink()
-    (checkout / shipping.GENERALISATION).write_text("task\nnominal\n")
-    refused(checkout, capsys, "generalisation.csv: not what")
-    (checkout / shipping.GENERALISATION).unlink()
-    template = checkout / guide.TEMPLATE
-    template.write_text(template.read_text(encoding="utf-8").replace("<!-- cards -->", ""))
-    refused(checkout, capsys, "<!-- cards -->")
-
-
-def test_a_missing_extra_is_named(
-    checkout: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    refused(checkout, capsys, 'pip install "formation-env[plot]"')
-
-
-def test_a_full_disk_leaves_the_earlier_page(
-    checkout: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("matplotlib")
-    assert main(checkout) == 0
-    before = contents(checkout)
-
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("os.replace", full)
-    assert main(checkout) == 1
-    assert "No space left" in capsys.readouterr().err
-    assert contents(checkout) == before

@@ -19,6 +19,7 @@ with warnings.catch_warnings():
     import train.ppo.start
     from train.ppo.start import prepare
 
+from baselines.policies.tuned import read
 from baselines.system.writing import LOCK, claim
 from train import imitate, ppo, tune_expert
 from train.ppo.options import Options
@@ -29,10 +30,11 @@ IMITATE = ["--worlds", "8", "--rounds", "1", "--ticks", "5", "--updates", "1", "
            "--quiet"]  # fmt: skip
 TUNE = ["--evaluations", "2", "--episodes", "1", "--validation", "1", "--finalists", "1", "--quiet",
         "--feedforward", "zero", "--threads", "1"]  # fmt: skip
-COMMANDS: dict[str, tuple[Callable[..., int], list[str]]] = {
-    "ppo": (ppo.main, PPO),
-    "imitate": (imitate.main, IMITATE),
-    "tune": (tune_expert.main, TUNE),
+# What each claims in its folder: all of it, or one file.
+COMMANDS: dict[str, tuple[Callable[..., int], list[str], str]] = {
+    "ppo": (ppo.main, PPO, ""),
+    "imitate": (imitate.main, IMITATE, ""),
+    "tune": (tune_expert.main, TUNE, "nominal-wrench.json"),
 }
 
 
@@ -41,15 +43,27 @@ def test_a_second_run_in_a_folder_is_refused(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Both ended well before, and one result was gone."""
-    main, words = COMMANDS[name]
+    main, words, file = COMMANDS[name]
     folder = tmp_path / "out"
-    with claim(folder):
+    with claim(folder, file):
         before = sorted(folder.iterdir())
         assert main(["--output", str(folder), *words]) != 0
         told = capsys.readouterr().err
         assert told.count("\n") == 1 and "Traceback" not in told
         assert str(folder) in told and "a run that is not finished" in told and "process" in told
         assert sorted(folder.iterdir()) == before
+
+
+def test_searches_with_other_journals_share_a_folder(tmp_path: Path) -> None:
+    """And a file of gains, in which both entries stand then."""
+    words = ["--output", str(tmp_path), "--gains", str(tmp_path / "gains.json"), *TUNE]
+    with claim(tmp_path, "nominal-wrench.json"):
+        assert tune_expert.main([*words, "--action", "reference"]) == 0
+    assert tune_expert.main(words) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        *("gains.json", "nominal-reference.json", "nominal-wrench.json")
+    ]
+    assert set(read(tmp_path / "gains.json")) == {("nominal", "wrench"), ("nominal", "reference")}
 
 
 def test_a_folder_is_free_after_a_run_and_after_a_refusal(

@@ -21,6 +21,7 @@ from baselines.policies.actions import corrected, correction_towards
 from baselines.policies.expert import Expert
 from baselines.policies.learned import Learned
 from formation_env import configure
+from formation_env.task import NEIGHBOUR_ENTRIES
 from train import imitate, ppo, rllib
 from train.command_line import read_options
 from train.imitate.options import Options as ImitateOptions
@@ -28,6 +29,7 @@ from train.options import PPOOptions, RunOptions
 from train.ppo.options import Options as PPO
 from train.rllib.options import Options as RLlib
 from train.rows import EarlyEnds
+from train.scales import fixed_scales
 
 ROOT = Path(__file__).resolve().parent.parent
 # A value for each option that is not its default.
@@ -45,6 +47,21 @@ OTHER: dict[str, Any] = {
 }  # fmt: skip
 
 CHECKED_BY_CONFIGURATION = {"start_offset", "scenario_duration"}
+
+
+@pytest.mark.parametrize("neighbours", [0, 3])
+@pytest.mark.parametrize("level", ["wrench", "reference"])
+def test_networks_divide_by_what_is_typical_of_each_quantity(level: str, neighbours: int) -> None:
+    """Its spread, not its bound; of the upright third body axis alone the mean is not zero."""
+    layout = configure(action=level, neighbours=neighbours).layout
+    mean, scale = (layout.unpack(rows) for rows in fixed_scales(layout))
+    for entry in (*layout.entries, *NEIGHBOUR_ENTRIES):
+        assert (scale[entry.name] == np.float32(entry.typical)).all()
+        expected = (0.0, 0.0, 1.0) if entry.name == "body_z" else 0.0
+        assert (mean[entry.name] == expected).all()
+    assert (scale["slot_error"] < 1.0).all() and (scale["position"] > 10.0).all()
+    fixed_scales(layout)[1][:] = 7.0
+    assert not (layout.typical == 7.0).any()
 
 
 @pytest.mark.parametrize("kind", [PPO, RLlib, ImitateOptions])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,8 @@ from train.tune_expert.gain_space import PLANNER, REACH, GainSpace
 from train.tune_expert.loop_space import LoopSpace
 from train.tune_expert.options import Options
 from train.tune_expert.search import Candidate, Search, search
+from train.tune_expert.tunables import TUNABLES
+from train.tune_expert.tuning import write_gains
 
 TINY = ["--episodes", "4", "--evaluations", "36", "--validation", "8", "--finalists", "3"]
 TINY += ["--threads", "2", "--quiet"]
@@ -153,6 +156,7 @@ def test_a_small_search_improves_detuned_gains(
     assert main([*TINY, "--output", f"{tmp_path / 'a'}", "--gains", f"{gains}"]) == 0
     made = json.loads(gains.read_text())["gains"]["nominal"]["wrench"]["made"]
     assert made["score"][1] > 0.0 and made["score_minus_expert"][1] > 0.0
+    assert "return" not in made
     assert made["seed"] == 1 and made["command"].startswith("formation-tune-expert --episodes 4 ")
     assert list(read(gains)) == [("nominal", "wrench")]
 
@@ -254,6 +258,17 @@ def test_earlier_files_are_kept(tmp_path: Path, capsys: pytest.CaptureFixture[st
         assert message in capsys.readouterr().err
         assert text is None or journal.read_text() == text
     assert gains.read_text() == "{}"
+
+
+def test_searches_that_end_together_all_write_their_gains(tmp_path: Path) -> None:
+    path, tunable = tmp_path / "gains.json", TUNABLES["lee"]
+    entry = {**tunable.document(tunable.own(configure("nominal"))), "made": {}}
+    names = [f"task {i}" for i in range(24)]
+    with ThreadPoolExecutor(8) as pool:
+        written = [pool.submit(write_gains, tunable, path, name, "wrench", entry) for name in names]
+        assert [each.result() for each in written] == [None] * len(names)
+    assert set(tunable.read(path)) == {(name, "wrench") for name in names}
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_missing_library_is_named(

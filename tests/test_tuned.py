@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baselines import make_policy
+from baselines import TransferWarning, make_policy
 from baselines.policies import textbook_tuned
 from baselines.policies.expert import Expert
 from baselines.policies.tuned import ExpertTuned, Gains, UntunedWarning, lawful, own, read
 from baselines.scoring.rollout import fly
-from formation_env import SCENARIOS, FeasibilityWarning, configure
+from formation_env import SCENARIOS, FeasibilityWarning, FormationConfig, configure
 from formation_env.core.simulation import Simulation, seeded_key
 from formation_env.validation.checks import LONGEST
 
@@ -215,6 +215,17 @@ def test_a_name_that_stands_twice_is_refused(tmp_path: Path, document: dict[str,
     path.write_text(f'{{"version": 1, "gains": {{"nominal": {gains}, "nominal": {gains}}}}}')
     with pytest.raises(ValueError, match=r"gains.json: .*'nominal'.*every name once"):
         read(path)
+
+
+def test_what_is_made_directly_is_not_taken_for_nominal() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FeasibilityWarning)
+        config = FormationConfig()
+    with pytest.warns(UntunedWarning, match="scenario 'custom' at action level 'wrench'"):
+        policy = make_policy("expert-tuned", config)
+    assert isinstance(policy, ExpertTuned) and not policy.tuned
+    with pytest.warns(TransferWarning, match="'nominal' .* flies another task: scenario 'custom'"):
+        make_policy("dagger", config)
 
 
 # -- the textbook's laws --------------------------------------------------------------------------

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -66,6 +67,26 @@ def test_two_runs_of_one_process_do_not_share_a_folder(tmp_path: Path) -> None:
     first.release()
     with claim(tmp_path / "new" / "folder"):
         pass
+
+
+def test_runs_with_files_of_their_own_share_a_folder(tmp_path: Path) -> None:
+    """A file has one run at a time, which the refusal names with the file."""
+    with claim(tmp_path, "a.json"), claim(tmp_path, "b.json"), claim(tmp_path):
+        with pytest.raises(FolderTaken, match=f"process {os.getpid()} ") as refusal:
+            claim(tmp_path, "a.json")
+        assert refusal.value.filename == str(tmp_path / "a.json")
+    claim(tmp_path, "a.json").release()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_another_run_is_waited_for_as_long_as_is_said(tmp_path: Path) -> None:
+    first = claim(tmp_path)
+    with pytest.raises(FolderTaken):
+        claim(tmp_path, wait=0.1)
+    timer = threading.Timer(0.2, first.release)
+    timer.start()
+    with claim(tmp_path, wait=30.0):
+        timer.join()
 
 
 def test_claims_of_many_turns_exclude_each_other(tmp_path: Path) -> None:

@@ -2,8 +2,9 @@
 
 `claim` locks a folder with the operating system's file lock on `.formation.lock` in it, which a process
 loses when it dies, however it dies: a lock file that is left behind blocks no run. The file's text names
-the process that holds it. While a file is written it has a name of its own that ends in `.part`; those of
-killed processes are removed by the next run that claims the folder.
+the process that holds it. Where only a file of the folder is claimed, the lock's name begins with the
+file's. While a file is written it has a name of its own that ends in `.part`; those of killed processes are
+removed by the next run that claims the folder or a file in it.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import re
 import secrets
 import socket
 import sys
+import time
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -82,26 +84,26 @@ def _remove_parts(folder: Path) -> None:
 
 
 class FolderTaken(OSError):
-    """Another run writes into the folder; `strerror` names its process, `filename` the folder."""
+    """Another run writes there; `strerror` names its process, `filename` the folder, or the file in it."""
 
 
 @final
 class Claim:
-    """A folder that only this run writes into, until `release` or the end of a `with` block."""
+    """A folder or file that only this run writes, until `release` or the end of a `with` block."""
 
-    def __init__(self, folder: Path, handle: int) -> None:
-        self.folder = folder
+    def __init__(self, lock: Path, handle: int) -> None:
+        self._lock = lock
         self._handle: int | None = handle
 
     def release(self) -> None:
-        """Let others write into the folder. A second call does nothing."""
+        """Let others write there. A second call does nothing."""
         handle, self._handle = self._handle, None
         if handle is None:
             return
         if _WINDOWS:
             os.close(handle)
         with suppress(OSError):
-            (self.folder / LOCK).unlink()
+            self._lock.unlink()
         if not _WINDOWS:
             os.close(handle)
 
@@ -117,37 +119,46 @@ class Claim:
         self.release()
 
 
-def claim(folder: Path) -> Claim:
+def claim(folder: Path, file: str = "", wait: float = 0.0) -> Claim:
     """Make the folder if need be, lock it for this run and remove what killed runs left half-written.
 
-    Nothing else in it is touched. Raises `FolderTaken` where another run, of this process or another
-    one, holds it, and `OSError` where it cannot be made or nothing can be written into it.
+    Or lock the `file` of that name in it alone, so that runs with other files may write beside. Nothing else
+    is touched. Raises `FolderTaken` where another run, of this process or another one, holds it and has not
+    let go within `wait` seconds, and `OSError` where the folder cannot be made or nothing can be written
+    into it.
     """
     folder.mkdir(parents=True, exist_ok=True)
     folder = folder.absolute()  # the working directory may change
-    handle = _locked(folder)
+    lock, until = folder / (f".{file}{LOCK}" if file else LOCK), time.monotonic() + wait
+    while True:
+        try:
+            handle = _locked(lock, folder / file)
+            break
+        except FolderTaken:
+            if time.monotonic() >= until:
+                raise
+        time.sleep(0.02)
     try:
         os.ftruncate(handle, 0)
         os.write(handle, f"{_MARK}{os.getpid()} on {socket.gethostname()}: {_command()}\n".encode())
         _remove_parts(folder)
     except BaseException:
-        Claim(folder, handle).release()
+        Claim(lock, handle).release()
         raise
-    return Claim(folder, handle)
+    return Claim(lock, handle)
 
 
-def _locked(folder: Path) -> int:
-    """The folder's lock file, open and locked. Raises `FolderTaken`, `OSError`."""
-    path = folder / LOCK
+def _locked(path: Path, claimed: Path) -> int:
+    """The lock file, open and locked, of what is claimed. Raises `FolderTaken`, `OSError`."""
     while True:
         handle = os.open(path, os.O_RDWR | os.O_CREAT | _BINARY | _NONBLOCK, 0o666)
         try:
             holder = os.read(handle, 1000).decode("utf-8", "replace").strip()
             if not _lock(handle):
-                raise FolderTaken(errno.EBUSY, _taken(holder), str(folder))
+                raise FolderTaken(errno.EBUSY, _taken(holder), str(claimed))
             if holder and not holder.startswith(_MARK):
-                reason = f"it holds a file {LOCK} that this package has not written"
-                raise OSError(errno.EEXIST, reason, str(folder))
+                reason = f"it holds a file {path.name} that this package has not written"
+                raise OSError(errno.EEXIST, reason, str(path.parent))
             if _same_file(handle, path):
                 return handle
         except BaseException:

@@ -123,14 +123,24 @@ class _Path(NamedTuple):
 
 
 @kernel
-def _deviations(v: Complexes, step: float, d_x: float, start: complex, out: Complexes) -> None:
-    """`exp(j theta_d)` along a path, by the zero dynamics (23); only where the leader moves."""
+def _deviations(
+    v: Complexes, step: float, d_x: float, start: complex, last: int, side: float, out: Complexes
+) -> None:
+    """`exp(j theta_d)` along a path, by the zero dynamics (23); only where the leader moves.
+
+    Of all headings that begin along the path, at its first sample or at one up to number `last`, the one
+    furthest to a `side`: 1 where `theta_d` is largest, -1 where it is least. By (26), of first order, no
+    heading overtakes another. So the furthest one stays so until it crosses the path's direction; from then
+    on one that begins there is further.
+    """
     R = start
     n = 0
     for i in range(v.shape[0]):
         speed = abs(v[i])
         if speed > STILL:
             out[n] = R * v[i].conjugate() / speed
+            if 0 < i <= last and side * out[n].imag < 0.0 < out[n].real:
+                R = v[i] / speed
             n += 1
         if i + 1 < v.shape[0]:
             R = advance_heading(R, v[i], v[i + 1], d_x, step)
@@ -161,25 +171,30 @@ def _paths(trajectory: Trajectory, duration: float, d_x: float) -> list[_Path]:
     return [_path(curve, duration, min(STEP, wanted), 4.0 * wanted) for curve in curves]
 
 
-def _headings(paths: list[_Path], d_x: float) -> Complexes:
-    """`exp(j theta_d)` of a follower on all paths, one after the other."""
+def _headings(paths: list[_Path], d_x: float, starts: float) -> Complexes:
+    """`exp(j theta_d)` of a follower at its furthest to both sides, on all paths, one after the other."""
     runs = []
     for path in paths:
-        out = np.empty(len(path.curvature), dtype=np.complex128)
-        _deviations(path.velocity, path.step, d_x, path.direction, out)
-        runs.append(out)
+        last = int(starts / path.step)
+        for side in (1.0, -1.0) if last > 0 else (1.0,):
+            out = np.empty(len(path.curvature), dtype=np.complex128)
+            _deviations(path.velocity, path.step, d_x, path.direction, last, side, out)
+            runs.append(out)
     return np.concatenate(runs)
 
 
-def check(offsets: ArrayLike, trajectory: Trajectory, duration: float) -> tuple[Feasibility, ...]:
+def check(
+    offsets: ArrayLike, trajectory: Trajectory, duration: float, starts: float = 0.0
+) -> tuple[Feasibility, ...]:
     """A report per follower on the leader's path over `duration` seconds.
 
     `offsets` has shape `(followers, 3)`, m, with `d_x > 0`. Raises `ValueError` naming the argument.
 
-    Each heading starts along the reference, as in II-E. A random trajectory is judged by the bound
-    of its curvature and by a few of its draws, always the same ones. `u / V_L` is the first row of
-    (25), `cos theta_d - (d_y / d_x) sin theta_d`. Moments in which the leader stands still are left
-    out; just before and after them the curvature of a path may be large without harm.
+    Each heading starts along the reference, as in II-E: at its first point, or at any time of the first
+    `starts` seconds, of which the worst counts, since what is left of one turn may help in the next. A random
+    trajectory is judged by the bound of its curvature and by a few of its draws, always the same ones.
+    `u / V_L` is the first row of (25), `cos theta_d - (d_y / d_x) sin theta_d`. Moments in which the leader
+    stands still are left out; just before and after them the curvature of a path may be large without harm.
     """
     d = array("offsets", offsets, (None, 3), -LARGEST, LARGEST)
     behind = np.flatnonzero(d[:, 0] < 1e-9)
@@ -188,6 +203,7 @@ def check(offsets: ArrayLike, trajectory: Trajectory, duration: float) -> tuple[
         refuse(f"offsets[{first}]", d[first].tolist(), "d_x > 0, a leader ahead of every follower")
     require(isinstance(trajectory, Trajectory), "trajectory", trajectory, "a Trajectory")
     duration = number("duration", duration, 0.0, LARGEST)
+    starts = number("starts", starts, 0.0, LARGEST, strict=False)
     paths = _paths(trajectory, duration, float(d[:, 0].min()))
     curvature = np.abs(np.concatenate([path.curvature for path in paths]))
     least, largest = (float(curvature.min()), float(curvature.max())) if len(curvature) else (0, 0)
@@ -195,7 +211,7 @@ def check(offsets: ArrayLike, trajectory: Trajectory, duration: float) -> tuple[
         largest = trajectory.random.curvature_max
     reports: dict[int, Feasibility] = {}
     for d_x in np.unique(d[:, 0]):
-        headings = _headings(paths, float(d_x))
+        headings = _headings(paths, float(d_x), starts)
         for i in np.flatnonzero(d[:, 0] == d_x):
             reports[int(i)] = _report(int(i), d[i], headings, least, largest)
     return tuple(reports[i] for i in range(len(d)))

@@ -85,10 +85,10 @@ class GuideView(NamedTuple):
     """What a policy sees of a `Guide`."""
 
     guide_position: Annotated[
-        Vector, Quantity("m", "{F}", "virtual follower's position minus own", NEAR)
+        Vector, Quantity("m", "{F}", "virtual follower's position minus own", NEAR, 0.3)
     ]
     guide_velocity: Annotated[
-        Vector, Quantity("m/s", "{F}", "virtual follower's velocity minus own", RATE_BOUND)
+        Vector, Quantity("m/s", "{F}", "virtual follower's velocity minus own", RATE_BOUND, 0.3)
     ]
 
 

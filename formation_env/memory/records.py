@@ -46,6 +46,7 @@ class Quantity(NamedTuple):
     frame: str
     meaning: str
     bound: float = inf  # that its numbers are clipped to
+    typical: float = 1.0  # how far they are from their mean while a formation is kept, for networks
 
 
 @cache

@@ -26,6 +26,7 @@ from train.tune_expert.options import Options
 from train.tune_expert.search import Candidate, Search, search
 from train.tune_expert.tunables import Tunable
 
+_OTHERS_WRITE = 10.0  # s, at most, until other searches have written their gains
 _OVERFLOWED = -1.0  # the score of gains with which the law leaves the range of numbers
 
 
@@ -79,7 +80,6 @@ def provenance(options: Options, best: BestGains) -> dict[str, Any]:
         "training": [TUNING_SEEDS, TUNING_SEEDS + options.episodes - 1],
         "validation": [validation.start, validation.stop - 1],
         "score": _interval(result.score),
-        "return": _interval(result.summary["return"]),
         "score_minus_expert": _interval(result.differences["expert"]["score"]),
         "failed": _interval(result.summary["failed"]),
     }
@@ -88,14 +88,18 @@ def provenance(options: Options, best: BestGains) -> dict[str, Any]:
 def write_gains(
     tunable: Tunable, path: Path, scenario: str, action: str, entry: dict[str, Any]
 ) -> None:
-    """Write an entry into a file of gains, which is made if it is not there."""
-    gains: dict[str, dict[str, Any]] = {}
-    if path.exists():
-        tunable.read(path)  # a broken file is refused, not overwritten
-        gains = json.loads(path.read_text(encoding="utf-8"))["gains"]
-    gains.setdefault(scenario, {})[action] = entry
-    document = {"version": VERSION, "gains": gains}
-    write_text(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
+    """Write an entry into a file of gains, which is made if it is not there.
+
+    What other searches write into it at the same time stays.
+    """
+    with claim(path.parent, path.name, _OTHERS_WRITE):
+        gains: dict[str, dict[str, Any]] = {}
+        if path.exists():
+            tunable.read(path)  # a broken file is refused, not overwritten
+            gains = json.loads(path.read_text(encoding="utf-8"))["gains"]
+        gains.setdefault(scenario, {})[action] = entry
+        document = {"version": VERSION, "gains": gains}
+        write_text(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
 
 
 def tune(options: Options) -> BestGains:
@@ -106,12 +110,12 @@ def tune(options: Options) -> BestGains:
         options.tunable.read(options.gains)
     if options.resume:
         Journal(path, options, config).recorded()  # refused before a folder is made
-    with claim(options.output):
+    with claim(options.output, path.name):
         return _searched(options, config, Journal(path, options, config), path)
 
 
 def _searched(options: Options, config: FormationConfig, journal: Journal, path: Path) -> BestGains:
-    """The search, in a folder that no other run writes into: its journal and its entry in a file of gains."""
+    """The search, with a journal that no other run writes: the journal and its entry in a file of gains."""
     recorded = journal.recorded() if options.resume else {}
     if path.exists() and not options.resume:
         raise ValueError(f"{path} exists: expected --resume to go on with it, or another --output")
