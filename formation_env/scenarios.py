@@ -56,7 +56,7 @@ def nominal(followers: int = 2) -> FormationConfig:
     so that the formation has to be kept, not only reached.
     """
     return FormationConfig(
-        offsets=_rows(formations.stack(followers)), gust=0.04, gust_time=0.5, duration=26.0
+        offsets=_rows(formations.stack(followers)), gust=0.04, gust_time=0.5, duration=30.0
     )
 
 
@@ -112,6 +112,7 @@ def agile(followers: int = 2) -> FormationConfig:
         scenario="agile",
         offsets=_rows(formations.stack(followers)),
         trajectory=random_smooth(speed=3.0, variation=1.2, acceleration=2.0),
+        duration=30.0,
     )
 
 
