@@ -60,7 +60,7 @@ def nominal(followers: int = 2) -> FormationConfig:
         offsets=_rows(formations.stack(followers)),
         gust=0.04,
         gust_time=0.5,
-        duration=26.0,
+        duration=30.0,
     )
 
 
@@ -116,6 +116,7 @@ def agile(followers: int = 2) -> FormationConfig:
         scenario="agile",
         offsets=_rows(formations.stack(followers)),
         trajectory=random_smooth(speed=3.0, variation=1.2, acceleration=2.0),
+        duration=30.0,
     )
 
 

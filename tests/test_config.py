@@ -159,9 +159,9 @@ def test_a_drawn_path_begins_at_any_tick_of_its_period() -> None:
     assert period == pytest.approx(2.0 * np.pi * 2.0 / 0.5)
     drawn = configure(trajectory=circle(radius=2.0, speed=0.5))
     assert drawn.phases == round(period / 0.02)
-    assert drawn.span == pytest.approx(26.0 + drawn.phases * 0.02)
+    assert drawn.span == pytest.approx(30.0 + drawn.phases * 0.02)
     endless = circle(radius=2.0, speed=0.5)
-    ends = type(endless)(endless.name, endless.kind, endless.table, duration=26.0)
+    ends = type(endless)(endless.name, endless.kind, endless.table, duration=30.0)
     for config in (
         configure(drawn, path="as given"),
         configure(trajectory=trajectories.line()),

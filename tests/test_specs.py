@@ -23,7 +23,7 @@ ID = "formation_env:Formation-v0"
 
 # What holds of some ways to say how long an episode is.
 LENGTHS: list[tuple[dict[str, Any], int]] = [
-    ({}, 1300),
+    ({}, 1500),
     ({"scenario": "paper"}, 2000),
     ({"scenario": "experiment"}, 1760),
     ({"scenario": configure("agile", duration=3.0)}, 150),
@@ -84,7 +84,7 @@ def test_wrappers_that_look_for_the_limit_find_it() -> None:
 
 @pytest.mark.parametrize(
     ("options", "steps", "most"),
-    [({}, 3000, 1300), ({"duration": 2.0}, 101, 100), ({"scenario": "paper"}, 2001, 2000)],
+    [({}, 3000, 1500), ({"duration": 2.0}, 101, 100), ({"scenario": "paper"}, 2001, 2000)],
     ids=repr,
 )
 def test_a_limit_beyond_the_duration_is_refused(
@@ -110,7 +110,7 @@ def test_what_the_refusal_says_works() -> None:
 def test_the_limit_of_a_spec_counts_too() -> None:
     spec = gym.make(ID).spec
     assert spec is not None
-    with pytest.raises(ValueError, match="max_episode_steps = 1300: expected at most 500"):
+    with pytest.raises(ValueError, match="max_episode_steps = 1500: expected at most 500"):
         gym.make(spec, duration=10.0)
     assert gym.make(spec, duration=10.0, max_episode_steps=500).spec.max_episode_steps == 500  # type: ignore[union-attr]
 
@@ -183,5 +183,5 @@ def test_a_spec_survives_a_copy_and_prints() -> None:
         assert copied.spec == env.spec
     assert env.spec is not None
     text = env.spec.pprint(disable_print=True, print_all=True)
-    assert text is not None and "max_episode_steps=1300" in text
+    assert text is not None and "max_episode_steps=1500" in text
     assert "Formation-v0" in str(env)

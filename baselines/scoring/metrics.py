@@ -2,9 +2,10 @@
 
 A `Tally` gathers one episode per world tick by tick; `episodes` turns it into the columns of `EPISODE`.
 
-What is scored is a window of `window_ticks` ticks that begins with the tick after the trigger (40) has
-fired, in scenarios that begin after it with the first tick. Its length does not depend on what is flown: the
-ticks that an episode lacks, because it failed or never started, count as the worst.
+What is scored is the episode's last `window_ticks` ticks, so how the formation is kept, not how it was
+reached. Where the window lies does not depend on what is flown: its ticks before the trigger (40) has fired
+and those that an episode lacks, because it failed, count as the worst. So neither the moment of the start
+can be chosen for a better score, nor a crash be put off until nothing is scored any more.
 
 Slot error, separation and distances are those of the true positions, in 3-D.
 """
@@ -26,9 +27,14 @@ Floats = NDArray[np.float64]
 
 SLOT, ERROR = COLUMNS["slot"].start, COLUMNS["slot_error"].start
 
-WINDOW = 25.0  # s, scored from the trigger where the episode starts on the ground
+WINDOW = 25.0  # s before the end of the episode that are scored
+LONGEST = (
+    5.0 / 6.0
+)  # of a shorter episode: as in 30 s, the time of the start and of its transient is left out
 CAP = 1.0  # m, at which a slot error counts at most, and that of a tick that is missing
-SETTLED = 0.15  # m, slot error below which a follower counts as settled: half the reward's reach
+SETTLED = (
+    0.1  # m, slot error below which a follower counts as settled; starts in the air are farther off
+)
 HELD = 1.0  # s, for at least so long before the end
 
 KINDS = FAILURES  # the leader's own crash, which is no follower's, is one of them
@@ -41,12 +47,8 @@ def deadline(config: FormationConfig) -> float:
 
 
 def window_ticks(config: FormationConfig) -> int:
-    """The ticks that are scored: all where episodes begin in flight, else those of `WINDOW`, or of
-    what the episode holds after the deadline, but at least half of the episode."""
-    if config.start != "ground":
-        return config.max_steps
-    left = max(config.duration - deadline(config), 0.5 * config.duration)
-    return max(1, round(min(WINDOW, left) / config.control_period))
+    """The number of ticks that are scored, the last ones: those of `WINDOW`, at most `LONGEST` of all."""
+    return max(1, round(min(WINDOW, LONGEST * config.duration) / config.control_period))
 
 
 class Metric(NamedTuple):
@@ -61,14 +63,14 @@ EPISODE = {
     "score": Metric(
         "1",
         "higher",
-        "mean over the window's ticks of the followers' mean reward, clipped to 0 ... 1; a tick that is "
-        "missing, or on which the episode fails, counts 0",
+        "mean over the window's ticks of the followers' mean reward, clipped to 0 ... 1; a tick before the "
+        "start or missing, or on which the episode fails, counts 0",
     ),
     "slot_error": Metric(
         "m",
         "lower",
         "root mean square slot error over followers and the window's ticks, each error at most "
-        f"{CAP:g} m; a tick that is missing, or on which the episode fails, counts {CAP:g} m",
+        f"{CAP:g} m; a tick before the start or missing, or on which the episode fails, counts {CAP:g} m",
     ),
     "slot_error_late": Metric("m", "lower", "the same over the second half of the window"),
     "failed": Metric("1", "lower", "1 if the episode ended in a failure, else 0"),
@@ -220,6 +222,7 @@ def _failure(ended: bool, outputs: Any) -> int:
 def add_tick(
     t: Tally,
     tick: int,
+    skipped: int,
     window: int,
     live: NDArray[np.bool_],
     started: NDArray[np.bool_],
@@ -234,17 +237,16 @@ def add_tick(
 ) -> int:
     """Add tick number `tick` (from 1) of the worlds that are `live`; returns how many still are.
 
-    `window` is the number of ticks that are scored. `leaders` `(W, 3)` are the leaders' true positions, m;
-    the followers' are in `outputs`, `(W, n, len(OUTPUTS))`. `rewards`, `terminated` and `truncated`
-    are `(W,)`. `actions` and those `before` are `(W, n, k)`, `offsets` the `d_i`, `(n, 3)`, m. `live` is
-    changed: False where a world has ended.
+    The `window` ticks after those that are `skipped` are scored. `leaders` `(W, 3)` are the leaders' true
+    positions, m; the followers' are in `outputs`, `(W, n, len(OUTPUTS))`. `rewards`, `terminated` and
+    `truncated` are `(W,)`. `actions` and those `before` are `(W, n, k)`, `offsets` the `d_i`, `(n, 3)`, m.
+    `live` is changed: False where a world has ended.
     """
     living = 0
     for w in range(len(live)):
         if not live[w]:
             continue
-        # Ticks since the trigger; 0 on the tick on which it fires, which is not scored.
-        since = tick - t.trigger_tick[w] if t.trigger_tick[w] >= 0 else 0
+        begun = t.trigger_tick[w] >= 0  # before this tick
         if t.trigger_tick[w] < 0 and started[w]:
             t.trigger_tick[w] = tick
         t.failure[w] = _failure(terminated[w], outputs[w])
@@ -252,8 +254,9 @@ def add_tick(
         t.ticks[w] += 1
         if _unsettled(outputs[w]):
             t.last_unsettled[w] = tick
-        if 0 < since <= window and t.failure[w] == 0:
-            late = 2 * since > window
+        number = tick - skipped  # among the window's ticks, from 1
+        if number > 0 and begun and t.failure[w] == 0:
+            late = 2 * number > window
             _score_window(t, w, late, rewards[w], outputs[w])
             if late:
                 _score_distances(t, w, _at(leaders[w], 0), outputs[w], offsets)

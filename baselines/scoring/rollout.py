@@ -81,6 +81,7 @@ def fly(
         living = add_tick(
             tally,
             tick,
+            config.max_steps - window,
             window,
             live,
             simulation.started,
