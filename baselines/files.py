@@ -73,6 +73,9 @@ class Card:
     history: int = 1
     residual: float = 0.0  # 0: no expert underneath
     clip: float = 10.0
+    margin: bool = (
+        False  # trained with later and noisier measurements than the scenario's exact ones
+    )
     command: str = ""  # that trained it
     seed: int = 0
     steps: int = 0  # agent steps or samples learned from
@@ -97,6 +100,7 @@ class Card:
             _check_text(name, getattr(self, name))
         for name, (least, most) in _WHOLE.items():
             _check_whole(name, getattr(self, name), least, most)
+        _require(isinstance(self.margin, bool), "margin", self.margin, "true or false")
         for name, (low, high) in _REAL.items():
             object.__setattr__(self, name, _real(name, getattr(self, name), low, high))
         object.__setattr__(self, "score", _scores(self.score))
@@ -176,6 +180,7 @@ def _read_card(text: object) -> Card:
     # First, because the fields of another version may be others.
     _require(named.get("version") == VERSION, "version", named.get("version"), str(VERSION))
     known = {f.name for f in fields(Card)}
+    named.setdefault("margin", False)  # of files that were written before there was one
     odd = sorted(map(str, known ^ set(named)))
     if odd:
         raise ValueError(f"card: fields {_shown(odd)} missing or unknown")

@@ -181,14 +181,22 @@ def test_card_with_a_wrong_field(tmp_path: Path, field: str, value: Any, message
         (json.dumps(asdict(card())).replace("12.5", "1e999"), "minutes = inf"),
         (json.dumps({**asdict(card()), "extra": 1}), "['extra'] missing or unknown"),
         (json.dumps({"version": 1, "layout": 1}), "missing or unknown"),
+        (json.dumps({**asdict(card()), "margin": 1}), "margin = 1: expected true or false"),
     ],
-    ids=range(8),
+    ids=range(9),
 )
 def test_metadata_that_is_no_card(tmp_path: Path, text: str, message: str) -> None:
     path = written(tmp_path / "policy.safetensors", text=text)
     with pytest.raises(ValueError, match=r"policy\.safetensors") as refusal:
         load(path)
     assert message in str(refusal.value)
+
+
+def test_a_card_from_before_there_was_a_margin_is_read(tmp_path: Path) -> None:
+    named = asdict(card(margin=True))
+    assert load(written(tmp_path / "a.safetensors", text=json.dumps(named)))[0].margin
+    del named["margin"]
+    assert not load(written(tmp_path / "b.safetensors", text=json.dumps(named)))[0].margin
 
 
 def test_file_without_a_card(tmp_path: Path) -> None:

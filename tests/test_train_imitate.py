@@ -24,9 +24,11 @@ from baselines import files, make_policy
 from baselines.policies.learned import Learned
 from formation_env import configure
 from formation_env.core.simulation import Simulation, seeded_key
+from train.command_line import read_options
 from train.evaluation import Evaluator
 from train.imitate import main
 from train.imitate.options import Options
+from train.margin import with_margin
 from train.seeds import TRAINING_SEEDS
 
 SHORT = ["--worlds", "8", "--rounds", "2", "--ticks", "20", "--updates", "3", "--batch", "64",
@@ -228,6 +230,22 @@ def test_a_seed_decides_everything(method: str, tmp_path: Path) -> None:
     a, b, c = (np.concatenate([w.ravel() for w in network.weights]) for network in networks)
     np.testing.assert_array_equal(a, b)
     assert not np.array_equal(a, c)
+
+
+def test_samples_have_the_margin_and_evaluations_have_not(tmp_path: Path) -> None:
+    """Where sensors are exact, unless it is switched off; the card says which."""
+    task = configure("nominal")
+    for words, flown in (([], with_margin(task)), (["--no-margin"], task)):
+        folder = tmp_path / str(len(words))
+        options = read_options(Options, "script", ["--output", str(folder), *SHORT, *words])
+        training = Run(options)
+        assert training.collector.config == training.collector.teacher.config == flown
+        assert training._evaluator.config == task
+        training.train()
+        card, _ = files.load(folder / "best.safetensors")
+        assert card.margin == (flown != task)
+    options = read_options(Options, "script", ["--output", "x", "--scenario", "paper"])
+    assert options.training_config() == configure("paper")
 
 
 @pytest.mark.parametrize(

@@ -26,10 +26,12 @@ from baselines.files import load
 from baselines.files import save as save_policy
 from baselines.policies.expert import Expert
 from baselines.policies.learned import Learned
+from baselines.policies.transfer import transfer_unwarned
 from formation_env import configure
 from formation_env.vector import FormationVectorEnv
 from train import checkpoint
 from train.log import HEADER
+from train.margin import with_margin
 from train.ppo.networks import ObservationMoments
 from train.ppo.options import Options
 from train.seeds import TRAINING_SEEDS
@@ -38,6 +40,17 @@ from train.seeds import TRAINING_SEEDS
 @pytest.fixture(autouse=True)
 def _short_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
     shorten_evaluations(monkeypatch)
+
+
+def test_worlds_have_the_margin_and_evaluations_have_not(tmp_path: Path) -> None:
+    """Where sensors are exact, unless it is switched off; the card says which."""
+    for margin in (True, False):
+        run = prepare(small(tmp_path / str(margin), margin=margin))
+        task = run.options.config()
+        assert run.evaluator.config == task
+        assert run.env.config == (with_margin(task) if margin else task)
+        assert (run.env.config == task) != margin
+        assert run.policy_file()[0].margin == margin
 
 
 def numbers(run: Run) -> dict[str, Any]:
@@ -91,7 +104,8 @@ def test_the_file_acts_as_the_network(tmp_path: Path, options: dict[str, Any]) -
     card, net = run.policy_file()
     assert card.package and card.method == ("residual" if "residual" in options else "ppo")
     env = run.env
-    pilot, expert = Learned(env.config, (card, net)), Expert(env.config)
+    with transfer_unwarned():  # of the margin
+        pilot, expert = Learned(env.config, (card, net)), Expert(env.config)
     env.seed(11)
     seen = env.reset()
     pilot.reset(worlds=env.worlds)

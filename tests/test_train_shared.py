@@ -44,6 +44,7 @@ OTHER: dict[str, Any] = {
     "normalise": "running", "profile": True, "runners": 2, "address": "host:1", "method": "bc",
     "teacher": "expert-tuned", "rounds": 3, "ticks": 10, "updates": 4, "buffer": 50, "share": 0.25,
     "stray": 5.0, "noise": 0.5, "explore": 0.1, "magnify": 2.0, "huber": 0.5, "tensorboard": True,
+    "margin": False,
 }  # fmt: skip
 
 CHECKED_BY_CONFIGURATION = {"start_offset", "scenario_duration"}
@@ -82,8 +83,8 @@ def test_the_command_of_a_run_repeats_its_options(kind: type[RunOptions]) -> Non
 
 @pytest.mark.parametrize("kind", [PPO, RLlib, ImitateOptions])
 def test_what_a_command_leaves_out(kind: type[RunOptions]) -> None:
-    """Where files lie, threads and what is printed; switches too, which a command could not repeat."""
-    switches = {f.name for f in fields(kind) if f.type == "bool"}
+    """Where files lie, threads, what is printed or profiled, and whether a run was resumed."""
+    switches = {f.name for f in fields(kind) if f.type == "bool"} - {"margin"}
     assert {"output", "threads", "quiet", *switches} == set(kind.without_effect) - {"address"}
 
 

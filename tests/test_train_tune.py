@@ -14,14 +14,18 @@ pytest.importorskip("tyro")
 pytest.importorskip("cma")
 
 from baselines import make_policy
-from baselines.policies import textbook_tuned
+from baselines.policies import textbook_tuned, tuned
+from baselines.policies.cascade import Feedforward
 from baselines.policies.tuned import lawful, own, read
 from baselines.scoring import rollout
-from formation_env import SCENARIOS, configure
-from train.tune_expert import main, options, tuning
+from formation_env import SCENARIOS, FormationConfig, configure
+from formation_env.laws.gains import PlannerGains, TrackerGains
+from train.margin import changes, with_margin
+from train.tune_expert import main, options, scores
 from train.tune_expert.gain_space import PLANNER, REACH, GainSpace
 from train.tune_expert.loop_space import LoopSpace
 from train.tune_expert.options import Options
+from train.tune_expert.scores import OVERFLOWED, mean_score, mean_scores
 from train.tune_expert.search import Candidate, Search, search
 from train.tune_expert.tunables import TUNABLES
 from train.tune_expert.tuning import write_gains
@@ -157,6 +161,10 @@ def test_a_small_search_improves_detuned_gains(
     made = json.loads(gains.read_text())["gains"]["nominal"]["wrench"]["made"]
     assert made["score"][1] > 0.0 and made["score_minus_expert"][1] > 0.0
     assert "return" not in made
+    margin = made["margin"]
+    assert margin["measurement_delay"] == 1 and margin["noise"]["position"] == 0.002
+    assert "return" not in margin
+    assert margin["score_minus_expert"][1] > 0.0 and margin["score"] != made["score"]
     assert made["seed"] == 1 and made["command"].startswith("formation-tune-expert --episodes 4 ")
     assert list(read(gains)) == [("nominal", "wrench")]
 
@@ -178,6 +186,7 @@ def test_a_small_search_improves_detuned_gains(
     assert not other.exists()
     assert main([*words, "--resume"]) == 0
     whole = json.loads((tmp_path / "a" / "nominal-wrench.json").read_text())
+    assert whole["margin"] == {name: margin[name] for name in ("measurement_delay", "noise")}
     again = json.loads((tmp_path / "b" / "nominal-wrench.json").read_text())
     assert again["values"] == whole["values"]
     assert read(other) == read(gains)
@@ -291,10 +300,104 @@ def test_gains_that_overflow_are_the_worst(monkeypatch: pytest.MonkeyPatch) -> N
 
     policy = make_policy("expert", configure("nominal"))
     refuse("action of follower_1 of world 7 = [nan]: expected finite numbers")
-    assert tuning.mean_score(policy, range(2)) == -1.0
+    assert mean_score(policy, range(2)) == OVERFLOWED
     refuse("something else")
     with pytest.raises(ValueError, match="something else"):
-        tuning.mean_score(policy, range(2))
+        mean_score(policy, range(2))
+
+
+# -- candidates together --------------------------------------------------------------------------
+
+
+def candidates(law: str, config: FormationConfig, count: int) -> list[Any]:
+    """The plain gains and others, some of which fly badly."""
+    space, rng = TUNABLES[law].space(config), np.random.default_rng(4)
+    points = [i * 0.4 * rng.standard_normal(len(space.names)) for i in range(count)]
+    return [space.gains(x, TUNABLES[law].choices(config, "both")[0]) for x in points]
+
+
+@pytest.mark.parametrize("action", ["wrench", "rates", "reference"])
+@pytest.mark.parametrize("law", textbook_tuned.LAWS)
+def test_candidates_together_score_as_each_alone(
+    law: str, action: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the last bit, whichever fly together and however many threads there are."""
+    config = configure("paper", action=action, duration=4.0, start="formation")
+    tunable, seeds, gains = TUNABLES[law], range(100_000, 100_003), candidates(law, config, 5)
+    alone = [mean_score(tunable.policy(config, one), seeds) for one in gains]
+    assert len(set(alone)) == 5
+    for threads, vehicles in ((1, 1500), (2, 18)):  # all, and by twos
+        monkeypatch.setattr(scores, "VEHICLES", vehicles)
+        with ThreadPoolExecutor(threads) as pool:
+            assert mean_scores(tunable, config, gains, seeds, pool) == alone
+
+
+def test_one_that_overflows_does_not_spoil_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The flight of all ends; then each flies alone."""
+    config, seeds = configure("nominal", duration=1.0), range(2)
+    gains = candidates("ff", config, 3)
+    alone = [mean_score(textbook_tuned.FfTuned(config, one), seeds) for one in gains]
+    plain: Any = Feedforward.wanted
+
+    def wanted(self: Any, *given: Any) -> Any:
+        a = plain(self, *given)
+        a[np.broadcast_to(self.gains.position[..., 0], a.shape[:2]) == gains[1].position] = np.nan
+        return a
+
+    monkeypatch.setattr(Feedforward, "wanted", wanted)
+    with ThreadPoolExecutor(1) as pool:
+        found = mean_scores(TUNABLES["ff"], config, gains, seeds, pool)
+    assert found == [alone[0], OVERFLOWED, alone[2]]
+
+
+def test_a_stacked_law_flies_no_other_number_of_worlds() -> None:
+    config = configure("nominal")
+    policy = textbook_tuned.Stacked("ff", config, candidates("ff", config, 2), 3)
+    with pytest.raises(ValueError, match="worlds = 5: expected 6"):
+        policy.reset(worlds=5)
+
+
+# -- the margin -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_the_margin_is_on_exact_sensors_alone(scenario: str) -> None:
+    config = configure(scenario)
+    flown = with_margin(config)
+    if scenario in ("paper", "experiment"):
+        assert flown is config and changes(config, flown) == {}
+        return
+    assert (flown.measurement_delay, flown.noise) == (1, (0.002, 0.005, 0.01, 0.001, 0.01))
+    assert configure(flown, measurement_delay=0, noise=config.noise) == config
+    assert list(changes(config, flown)) == ["measurement_delay", "noise"]
+    late = configure(config, measurement_delay=2)
+    assert with_margin(late) is late
+    assert with_margin(flown) is flown
+
+
+def test_gains_at_the_edge_of_stability_lose_the_search() -> None:
+    """Of the expert on `nominal`: found on exact sensors, where they win, they fail with the margin."""
+    planner = PlannerGains(0.1722, 3.2374, 0.6877, 0.1749, 1.4773, 2.8068, 2.6114)
+    tracker = TrackerGains(5.6177, 1.9445, 45.166, 9.0099, 10.151, 5.0417, 8.4128, 0.10272)
+    gains = tuned.Gains(planner, tracker, "zero")
+    config, seeds = configure("nominal"), range(100_000, 100_004)
+    tunable = TUNABLES["expert"]
+    for task, wins in ((config, True), (with_margin(config), False)):
+        edge, mine = (
+            mean_score(tunable.policy(task, g), seeds) for g in (gains, tunable.own(config))
+        )
+        assert (edge > mine + 0.2) if wins else (edge < mine - 0.2)
+
+
+def test_without_the_margin_the_task_itself_is_searched(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The command says so, and there is one result."""
+    monkeypatch.setattr(options, "configure", lambda s, **o: configure(s, duration=1.0, **o))
+    assert main([*TINY, "--policy", "lqr", "--no-margin", "--output", f"{tmp_path}"]) == 0
+    made = json.loads((tmp_path / "lqr-nominal-wrench.json").read_text())["result"]["made"]
+    assert made["margin"] is None and "--no-margin" in made["command"].split()
+    assert "with the margin" not in capsys.readouterr().out
 
 
 def test_options_are_checked_by_their_own_names() -> None:

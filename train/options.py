@@ -124,7 +124,11 @@ def repeating_command(
     """A console script with the `values` that are not the `usual` ones, none of those named `without`."""
     words = [script]
     for name, value in values.items():
-        if name not in without and value != usual[name]:
+        if name in without or value == usual[name]:
+            continue
+        if isinstance(value, bool):
+            words.append(flag(name if value else f"no_{name}"))
+        else:
             words += [flag(name), *map(str, value if isinstance(value, tuple) else (value,))]
     return shlex.join(words)
 

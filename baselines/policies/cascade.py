@@ -9,7 +9,9 @@ turns a vehicle is the angular acceleration that the attitude loop asks for, wha
 
 from __future__ import annotations
 
-from typing import Annotated, Any, NamedTuple, final
+from collections.abc import Sequence
+from copy import copy
+from typing import Annotated, Any, NamedTuple, TypeVar, cast, final
 
 import numpy as np
 
@@ -22,6 +24,8 @@ from formation_env.validation.checks import Within
 
 DOWN = np.array((0.0, 0.0, 1.0))
 NORTH = np.array((1.0, 0.0, 0.0))
+
+Record = TypeVar("Record", bound="tuple[Any, ...]")
 
 _GAIN = Within(0.0, 1e6, strict=True)
 SIDEWAYS, UPWARDS = Within(0.0, 1e3, strict=True), Within(0.0, 0.99 * GRAVITY, strict=True)
@@ -49,27 +53,46 @@ def loop_gains(gains: Any) -> LoopGains:
 
 
 class AxisGains(NamedTuple):
-    """Gains of the two loops for each axis of the vehicle: ahead, to its right, down; about x, y, z."""
+    """Gains of the two loops for each axis of the vehicle: ahead, to its right, down; about x, y, z.
 
-    position: Floats  # 1/s^2, (3,)
-    velocity: Floats  # 1/s, (3,)
-    attitude: Floats  # 1/s^2, (3,); about z the angle is free, so the last is not used
-    rate: Floats  # 1/s, (3,)
+    Each `(3,)`, or `(worlds, 1, 3)` where worlds have gains of their own.
+    """
+
+    position: Floats  # 1/s^2
+    velocity: Floats  # 1/s
+    attitude: Floats  # 1/s^2; about z `ff` and `lqr` leave the angle free and do not use it
+    rate: Floats  # 1/s
 
 
 class Limits(NamedTuple):
-    """Most of a wanted acceleration."""
+    """Most of a wanted acceleration; each a number, or `(worlds, 1)`."""
 
-    sideways: float  # m/s^2, length of the horizontal part
-    upwards: float  # m/s^2, of the vertical part, either way
+    sideways: Any  # m/s^2, length of the horizontal part
+    upwards: Any  # m/s^2, of the vertical part, either way
+
+
+def two_loops(gains: Any) -> tuple[AxisGains, Limits]:
+    """The same gains, those of a `LoopGains`, along and about every axis. Raises as `loop_gains`."""
+    g = loop_gains(gains)
+    return AxisGains(*(np.full(3, gain) for gain in g[:4])), Limits(g.sideways, g.upwards)
+
+
+def by_world(records: Sequence[Record], worlds: int) -> Record:
+    """NamedTuples of numbers or arrays `(...)` as one of arrays `(len(records) * worlds, 1, ...)`.
+
+    Each record is that of so many worlds in a row, and of all their followers.
+    """
+    kind: Any = type(records[0])
+    fields = (np.stack(values)[:, None] for values in zip(*records, strict=True))
+    return cast(Record, kind(*(np.repeat(field, worlds, axis=0) for field in fields)))
 
 
 def limited(a: Floats, most: Limits) -> Floats:
     """Accelerations whose horizontal part keeps its direction."""
     sideways = np.sqrt(a[..., 0] * a[..., 0] + a[..., 1] * a[..., 1])
     shrunk = a[..., :2] * each(most.sideways / np.maximum(sideways, most.sideways))
-    climb = np.clip(a[..., 2:], -most.upwards, most.upwards)
-    return np.concatenate((shrunk, climb), axis=-1)
+    climb = np.clip(a[..., 2], -most.upwards, most.upwards)
+    return np.concatenate((shrunk, each(climb)), axis=-1)
 
 
 def turning(alpha: Floats, w: Floats, config: FormationConfig) -> Floats:
@@ -80,7 +103,25 @@ def turning(alpha: Floats, w: Floats, config: FormationConfig) -> Floats:
     return w + config.vehicle.rate_lag * alpha
 
 
-class Cascade(Tracker):
+class TwoLoops(Tracker):
+    """A tracker with a position loop and an attitude loop, whose gains may differ from world to world."""
+
+    def __init__(self, config: FormationConfig, gains: AxisGains, most: Limits) -> None:
+        super().__init__(config)
+        self.gains, self.most = gains, most
+
+    def stacked(self, others: Sequence[TwoLoops], worlds: int) -> TwoLoops:
+        """A tracker of this kind that flies so many worlds in a row with the gains of each of `others`.
+
+        A world's commands are those of the other tracker, bit for bit.
+        """
+        one = copy(self)
+        one.gains = by_world([other.gains for other in others], worlds)
+        one.most = by_world([other.most for other in others], worlds)
+        return one
+
+
+class Cascade(TwoLoops):
     """A position loop, and an attitude loop that turns the thrust to where it wants it.
 
         a     = a_d + kp (p_d - p) + kv (v_d - v), limited          the wanted acceleration
@@ -93,10 +134,6 @@ class Cascade(Tracker):
     that turns, by `kw / kR` s. Where `b` vanishes, in free fall, `r3d` is down.
     """
 
-    def __init__(self, config: FormationConfig, gains: AxisGains, most: Limits) -> None:
-        super().__init__(config)
-        self.gains, self.most = gains, most
-
     def wanted(self, e: Floats, ev: Floats, ahead: Floats, a: Floats) -> Floats:
         """The wanted acceleration (m/s^2) for errors `p_d - p` (m), `v_d - v` (m/s) and `a_d` (m/s^2).
 
@@ -104,8 +141,10 @@ class Cascade(Tracker):
         """
         right = cross(DOWN, ahead)
         kp, kv = self.gains.position, self.gains.velocity
-        x, y = (kp[k] * dot(e, n) + kv[k] * dot(ev, n) for k, n in enumerate((ahead, right)))
-        z = kp[2] * e[..., 2] + kv[2] * ev[..., 2]
+        x, y = (
+            kp[..., k] * dot(e, n) + kv[..., k] * dot(ev, n) for k, n in enumerate((ahead, right))
+        )
+        z = kp[..., 2] * e[..., 2] + kv[..., 2] * ev[..., 2]
         pull = each(x) * ahead + each(y) * right + each(z) * DOWN
         return limited(a + pull, self.most)
 
@@ -128,6 +167,4 @@ class Feedforward(Cascade):
     """The tracker of `ff`: `Cascade` with the same gains along and about every axis."""
 
     def __init__(self, config: FormationConfig, gains: LoopGains | None = None) -> None:
-        g = loop_gains(gains)
-        axes = AxisGains(*(np.full(3, gain) for gain in g[:4]))
-        super().__init__(config, axes, Limits(g.sideways, g.upwards))
+        super().__init__(config, *two_loops(gains))

@@ -21,15 +21,8 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from baselines.policies.cascade import (
-    DOWN,
-    Limits,
-    LoopGains,
-    limited,
-    loop_gains,
-    turning,
-)
-from baselines.policies.parts import Motion, Points, Tracker
+from baselines.policies.cascade import DOWN, LoopGains, TwoLoops, limited, turning, two_loops
+from baselines.policies.parts import Motion, Points
 from baselines.policies.vectors import Floats, cross, dot, each, norm, to_body, to_inertial, unit
 from formation_env import FormationConfig
 from formation_env.physics.quadrotor import GRAVITY, Wrench
@@ -52,7 +45,7 @@ class Errors(NamedTuple):
 
 
 @final
-class Lee(Tracker):
+class Lee(TwoLoops):
     """The tracker of `lee`.
 
     The task asks for no yaw, so the wanted first axis is the vehicle's own `r1`, projected as theirs is, and
@@ -69,13 +62,11 @@ class Lee(Tracker):
     """
 
     def __init__(self, config: FormationConfig, gains: LoopGains | None = None) -> None:
-        super().__init__(config)
-        self.gains = loop_gains(gains)
-        self._most = Limits(self.gains.sideways, self.gains.upwards)
+        super().__init__(config, *two_loops(gains))
 
     def acceleration(self, p: Floats, v: Floats, point: Points, velocity_after: Floats) -> Floats:
         """The wanted acceleration of the virtual followers, `g k - b`."""
-        return limited(self._free(point.p - p, point.v - v, point.a), self._most)
+        return limited(self._free(point.p - p, point.v - v, point.a), self.most)
 
     def _free(self, e: Floats, ev: Floats, a: Floats) -> Floats:
         """The wanted acceleration, or one of its derivatives, before any limit."""
@@ -86,10 +77,10 @@ class Lee(Tracker):
         p, v, R, w = motion
         e, ev = point.p - p, point.v - v
         free = self._free(e, ev, point.a)
-        a = limited(free, self._most)
+        a = limited(free, self.most)
         b = GRAVITY * DOWN - a
-        sideways = norm(free * np.array((1.0, 1.0, 0.0))) <= self._most.sideways
-        upwards = np.abs(free[..., 2]) <= self._most.upwards
+        sideways = norm(free * np.array((1.0, 1.0, 0.0))) <= self.most.sideways
+        upwards = np.abs(free[..., 2]) <= self.most.upwards
         within = np.stack((sideways, sideways, upwards), axis=-1)
         # The vehicle accelerates by g k - lift r3.
         r3 = R[..., :, 2]

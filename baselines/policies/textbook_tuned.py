@@ -7,9 +7,13 @@ found by `python -m train.tune_expert --policy ff`.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from baselines.policies.cascade import Feedforward, LoopGains
 from baselines.policies.composed import Composed
@@ -19,12 +23,13 @@ from baselines.policies.lqr import Lqr, LqrWeights
 from baselines.policies.slot_motion import SlotPlanner
 from formation_env import FormationConfig
 from formation_env.configuration.parts import part
+from formation_env.validation.checks import require
 
 
 class Law(NamedTuple):
     """A law whose gains can be searched."""
 
-    tracker: Any  # made with the configuration and gains
+    tracker: Any  # a kind of `TwoLoops`, made with the configuration and gains
     gains: Any  # the record of its gains
     file: Path  # of the gains that were found
 
@@ -77,6 +82,28 @@ class Tuned(Composed):
         if gains is None:
             warn_untuned(self.name, config, "the plain ones")
         super().__init__(config, planner, LAWS[self.law].tracker(config, gains))
+
+
+@final
+class Stacked(Composed):
+    """A law of `LAWS` with several gains, each of which flies so many of the worlds in a row.
+
+    A world's actions are those of the law with its gains alone, bit for bit. Raises `ValueError` for what are
+    no gains, and where another number of worlds is flown.
+    """
+
+    name = "stacked"
+
+    def __init__(
+        self, law: str, config: FormationConfig, gains: Sequence[Any], worlds: int
+    ) -> None:
+        trackers = [LAWS[law].tracker(config, each) for each in gains]
+        self._of_all = len(gains) * worlds
+        super().__init__(config, SlotPlanner(config), trackers[0].stacked(trackers, worlds))
+
+    def begin(self, seeds: NDArray[np.uint64]) -> None:
+        require(len(seeds) == self._of_all, "worlds", len(seeds), f"{self._of_all}")
+        super().begin(seeds)
 
 
 @final

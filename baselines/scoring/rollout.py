@@ -23,10 +23,10 @@ Watch = Callable[[Simulation, NDArray[np.bool_], NDArray[np.float32]], None]
 
 # Vehicles flown together: enough that Python's share is small, few enough to stay in the cache and to
 # be shared out between threads.
-_VEHICLES = 1500
+VEHICLES = 1500
 
 
-def chunks(seed: int, count: int, followers: int, vehicles: int = _VEHICLES) -> Iterator[range]:
+def chunks(seed: int, count: int, followers: int, vehicles: int = VEHICLES) -> Iterator[range]:
     """The seeds `seed` to `seed + count - 1` in groups of about equal size that are flown together."""
     most = max(1, vehicles // (followers + 1))
     groups = -(-count // most)
@@ -48,16 +48,18 @@ def fly(
     progress: Callable[[int], None] | None = None,
     most: int | None = None,
     watch: Watch | None = None,
+    times: int = 1,
 ) -> Episodes:
     """One episode for each of the consecutive `seeds`; the columns are `metrics.EPISODE`.
 
-    `most` ends them after so many ticks, for a first use that only compiles. `progress` is called after
-    every tick with the number of worlds, whose ticks have been done; what it raises stops the flight. `watch`
-    sees every tick that has been flown.
+    The seeds are flown `times` times over, in worlds of their own: for policies that differ from world to
+    world. `most` ends them after so many ticks, for a first use that only compiles. `progress` is called
+    after every tick with the number of worlds, whose ticks have been done; what it raises stops the flight.
+    `watch` sees every tick that has been flown.
     """
-    config, worlds = policy.config, len(seeds)
+    config, worlds = policy.config, times * len(seeds)
     simulation = Simulation(config, worlds)
-    for world, seed in enumerate(seeds):
+    for world, seed in enumerate(times * list(seeds)):
         simulation.seed(world, seeded_key(seed))
     policy.reset(seed=seeds.start, worlds=worlds)
     results = simulation.reset()

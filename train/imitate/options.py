@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Literal, final
 
+from formation_env import FormationConfig
 from train.command_line import SCRIPTS, refuse
+from train.margin import flown_on
 from train.options import Ranges, RunOptions
 
 
@@ -26,6 +28,9 @@ class Options(RunOptions):
     """Way of learning: bc flies the teacher all the time, dagger the clone more and more."""
     teacher: str = "expert"
     """Policy that is cloned: a name, such as expert or expert-tuned, or a policy file."""
+    margin: bool = True
+    """Fly the samples with measurements one sample later and slight noise where the task's own are exact.
+    A clone of flights on exact sensors alone is lost on any others. Evaluations fly the task as it is."""
     history: int = 1
     """Number of observations that the clone sees, the present one included."""
     residual: float = 0.0
@@ -94,6 +99,10 @@ class Options(RunOptions):
         "learning_rate": (1e-12, 1.0),
         "huber": (1e-6, 1e6),
     }
+
+    def training_config(self) -> FormationConfig:
+        """The task as samples are flown on it."""
+        return flown_on(self.config(), self.margin)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -25,6 +25,7 @@ from train.imitate.clone import Clone
 from train.imitate.collector import Collector, Mixture
 from train.imitate.options import Options
 from train.log import LogRow, is_best, log_row, to_csv
+from train.margin import changes
 from train.progress import BAR
 
 BEST, LOG = "best.safetensors", "log.csv"
@@ -50,7 +51,8 @@ class Run:
 
     def __init__(self, options: Options) -> None:
         self.options, self.config = options, options.config()
-        teacher = make_policy(options.teacher, self.config)  # refused before the folder is made
+        self._flown = options.training_config()
+        teacher = make_policy(options.teacher, self._flown)  # refused before the folder is made
         self._claim = _claimed(options)
         try:
             with compiling(options.quiet):
@@ -65,7 +67,7 @@ class Run:
         torch.set_num_threads(o.threads)
         torch.manual_seed(o.seed)
         self._rng = np.random.default_rng((o.seed, 1))
-        self.collector = Collector(config, teacher, o.worlds, o.seed, o.threads, o.residual)
+        self.collector = Collector(self._flown, teacher, o.worlds, o.seed, o.threads, o.residual)
         self.collector.explore = o.explore
         rows = o.worlds * config.followers
         size = (rows, config.layout.size, config.action_size)
@@ -169,6 +171,7 @@ class Run:
             self.config,
             o.method if o.residual == 0.0 else f"residual-{o.method}",
             residual=o.residual,
+            margin=bool(changes(self.config, self._flown)),
             command=o.command(),
             seed=o.seed,
             steps=self.samples,

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal
 
 from formation_env import FormationConfig, configure
 from train.command_line import SCRIPTS
+from train.margin import flown_on
 from train.options import STD, PPOOptions, Ranges
 
 # Of the exploration at the start: its standard deviation with `residual`, as part of that bound, and the
@@ -40,6 +41,9 @@ class Options(PPOOptions):
     0 learns the action itself."""
     history: int = 1
     """Number of observations that the policy sees, the present one included."""
+    margin: bool = True
+    """Train with measurements one sample later and slight noise where the task's own are exact.
+    Evaluations fly the task as it is."""
     start: Literal["formation", "ground"] | None = None
     """How training episodes begin, near the formation or on the ground; by default as the scenario's do."""
     start_offset: float | None = None
@@ -88,7 +92,8 @@ class Options(PPOOptions):
             "start_offset": self.start_offset,
             "duration": self.scenario_duration,
         }
-        return configure(self.config(), **{k: v for k, v in given.items() if v is not None})
+        task = flown_on(self.config(), self.margin)
+        return configure(task, **{k: v for k, v in given.items() if v is not None})
 
     def exploration(self) -> float:
         """Standard deviation of the actor's output at the start."""

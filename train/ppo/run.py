@@ -21,6 +21,7 @@ from train import checkpoint
 from train.checkpoint_contents import Arrays, array_like, arrays_like, fact, run_record
 from train.evaluation import Evaluator
 from train.log import RunRecord, summary
+from train.margin import changes
 from train.ppo.callbacks import BEST, EvaluateAndSave, Hooks, Limits, time_table
 from train.ppo.model import critic_state_scales, make_environment, make_model
 from train.ppo.networks import ObservationMoments
@@ -81,6 +82,7 @@ class Run:
             history=o.history,
             residual=o.residual,
             clip=CLIP,
+            margin=bool(changes(o.config(), config)),
             command=o.command(),
             seed=o.seed,
             steps=int(self.model.num_timesteps),

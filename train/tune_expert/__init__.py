@@ -4,7 +4,8 @@ CMA-ES (pycma) searches the gains of the paper's planner and tracker, or of a te
 largest mean score over training seeds, the same ones for every candidate. It starts from the plain gains,
 and every candidate satisfies the law's conditions (`train.tune_expert.gain_space`, `loop_space`). Whatever
 the law, it has as many candidates. Those with the largest scores, and the plain gains, then fly validation
-seeds, and the best of those is the result. The leaderboard's seeds are not used.
+seeds, and the best of those is the result. The leaderboard's seeds are not used. All of this is flown on the
+task with a margin (`train.margin`), unless `--no-margin`; the result is reported on the task as it is, too.
 
 Results do not depend on the number of threads, and the same options give the same gains. The journal,
 `OUTPUT/SCENARIO-ACTION.json`, has the scores so far; after an interruption `--resume` repeats the search
@@ -58,5 +59,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     console.say(
         f"score {gain.value:+.4f} ({gain.low:+.4f} .. {gain.high:+.4f}) beside the expert's"
     )
+    if best.flown is not best.result:
+        with_margin = best.flown.score
+        console.say(
+            f"score {with_margin.value:.3f} ({with_margin.low:.3f} .. {with_margin.high:.3f}) with the margin"
+        )
     console.say(json.dumps(options.tunable.document(best.gains), indent=1))
     return 0

@@ -15,6 +15,7 @@ import formation_env
 from baselines.system.reading import read_bytes
 from baselines.system.writing import write_text
 from formation_env import FormationConfig
+from train.margin import changes
 from train.seeds import TUNING_SEEDS
 from train.tune_expert.options import FREE_ON_RESUME, SCRIPT, Options
 from train.tune_expert.search import Candidate
@@ -26,7 +27,9 @@ _WRITING_INTERVAL = 5.0  # s, at least, between two writings of the file
 class Journal:
     """The scores of all candidates flown so far, in one file that is written whole or not at all."""
 
-    def __init__(self, path: Path, options: Options, config: FormationConfig) -> None:
+    def __init__(
+        self, path: Path, options: Options, config: FormationConfig, flown: FormationConfig
+    ) -> None:
         self._path, self._tunable = path, options.tunable
         self._space = self._tunable.space(config)
         fixed = {k: v for k, v in asdict(options).items() if k not in FREE_ON_RESUME}
@@ -35,6 +38,7 @@ class Journal:
             "package": formation_env.__version__,
             "options": {**fixed, "action": config.action},
             "training": [TUNING_SEEDS, TUNING_SEEDS + options.episodes - 1],
+            "margin": changes(config, flown) or None,  # what the search changes of the task
         }
         self._written = time.monotonic()
         self.candidates: dict[str, list[Candidate]] = {}

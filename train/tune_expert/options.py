@@ -37,6 +37,9 @@ class Options:
     feedforward: str = "both"
     """How the third and fourth derivatives of the reference are taken: zero, derived, or both tried.
     For the expert alone."""
+    margin: bool = True
+    """Fly the task with measurements one sample later and slight noise where its own are exact.
+    Gains that are searched on exact sensors have no stability to spare."""
     episodes: int = 64
     """Number of training episodes that every candidate flies, all on the same seeds."""
     evaluations: int = 2000
@@ -60,7 +63,8 @@ class Options:
     """Continue the search whose journal is in the output folder.
     Only evaluations, gains, threads and quiet may differ from the options that it was begun with."""
     threads: int = field(default_factory=lambda: os.cpu_count() or 1)
-    """Number of candidates that are flown at a time, one thread for each; by default one for each core."""
+    """Number of threads; by default one for each core. The expert's candidates are flown in one each, those
+    of other laws together."""
     quiet: bool = False
     """Print no progress bar while the search runs."""
 

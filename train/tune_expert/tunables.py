@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol, final
 
@@ -37,6 +38,10 @@ class Tunable(ABC):
     @abstractmethod
     def policy(self, config: FormationConfig, gains: Any) -> Policy:
         """The policy with gains."""
+
+    def stack(self, config: FormationConfig, gains: Sequence[Any], worlds: int) -> Policy | None:
+        """A policy that flies so many worlds in a row with each of the gains; None where there is none."""
+        return None
 
     @abstractmethod
     def own(self, config: FormationConfig) -> Any:
@@ -103,6 +108,9 @@ class LoopLaw(Tunable):
 
     def policy(self, config: FormationConfig, gains: Any) -> Policy:
         return textbook_tuned.TUNED[self.name](config, gains)
+
+    def stack(self, config: FormationConfig, gains: Sequence[Any], worlds: int) -> Policy:
+        return textbook_tuned.Stacked(self.name, config, gains, worlds)
 
     def own(self, config: FormationConfig) -> Any:
         return textbook_tuned.LAWS[self.name].gains()

@@ -1,4 +1,4 @@
-"""The search for gains: candidates flown by threads, the best ones compared on validation seeds."""
+"""The search for gains: candidates flown by generations, the best ones compared on validation seeds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import numpy as np
 
 import formation_env
 from baselines import make_policy
-from baselines.policies.base import Policy
 from baselines.policies.gain_files import VERSION
 from baselines.scoring.intervals import Estimate
 from baselines.scoring.results import Result, judge
@@ -20,68 +19,88 @@ from baselines.scoring.rollout import fly_all
 from baselines.system.progress import compiling
 from baselines.system.writing import claim, write_text
 from formation_env import FormationConfig
+from train.margin import changes, flown_on
 from train.seeds import TUNING_SEEDS, TUNING_VALIDATION_SEEDS
 from train.tune_expert.journal import Journal
 from train.tune_expert.options import Options
+from train.tune_expert.scores import mean_score, mean_scores
 from train.tune_expert.search import Candidate, Search, search
 from train.tune_expert.tunables import Tunable
 
 _OTHERS_WRITE = 10.0  # s, at most, until other searches have written their gains
-_OVERFLOWED = -1.0  # the score of gains with which the law leaves the range of numbers
 
 
-def mean_score(policy: Policy, seeds: range) -> float:
-    """Mean score over the seeds; `_OVERFLOWED` where it is no number."""
-    try:
-        value = float(fly_all(policy, seeds)["score"].mean())
-    except ValueError as problem:
-        if "expected finite numbers" not in str(problem):
-            raise
-        return _OVERFLOWED  # the law overflowed and the simulation refused its action
-    return value if np.isfinite(value) else _OVERFLOWED
+class Tasks(NamedTuple):
+    """What is searched for, and what flies in the search."""
+
+    own: FormationConfig  # the task as it is
+    flown: FormationConfig  # the same with a margin, unless the options say without
 
 
 # -- validation -----------------------------------------------------------------------------------
 
 
 class BestGains(NamedTuple):
-    """The gains with the largest mean score on the validation seeds, and their result there."""
+    """The gains with the largest mean score on the validation seeds, and their results there."""
 
     gains: Any
-    result: Result
+    result: Result  # on the task
+    flown: Result  # on the task as it was flown in the search
 
 
 def validate(
+    tasks: Tasks, tunable: Tunable, finalists: Sequence[Any], seeds: range, pool: ThreadPoolExecutor
+) -> BestGains:
+    """The finalist with the largest mean score over the seeds on the task as it is flown, the first where
+    equal."""
+    gains, flown = _best(tasks.flown, tunable, finalists, seeds, pool)
+    if tasks.flown == tasks.own:
+        return BestGains(gains, flown, flown)
+    return BestGains(gains, _best(tasks.own, tunable, [gains], seeds, pool)[1], flown)
+
+
+def _best(
     config: FormationConfig,
     tunable: Tunable,
     finalists: Sequence[Any],
     seeds: range,
     pool: ThreadPoolExecutor,
-) -> BestGains:
-    """The finalist with the largest mean score over the seeds, the first where equal."""
+) -> tuple[Any, Result]:
+    """The finalist with the largest mean score on a configuration, and its result."""
     policies = [tunable.policy(config, gains) for gains in finalists]
     own_law = make_policy("expert", config)
     expert, *columns = pool.map(lambda p: fly_all(p, seeds), [own_law, *policies])
     best = max(range(len(columns)), key=lambda i: columns[i]["score"].mean())
-    return BestGains(finalists[best], judge({"": columns[best]}, {"expert": expert}))
+    return finalists[best], judge({"": columns[best]}, {"expert": expert})
 
 
 def _interval(e: Estimate) -> list[float | None]:
     return [float(x) if np.isfinite(x) else None for x in (e.value, e.low, e.high)]
 
 
-def provenance(options: Options, best: BestGains) -> dict[str, Any]:
-    """How gains were found and their scores on the validation seeds, as a file of gains has it."""
-    result, validation = best.result, _validation_seeds(options)
+def _figures(result: Result) -> dict[str, Any]:
+    """Value, low and high of what a file of gains says of a result."""
+    return {
+        "score": _interval(result.score),
+        "score_minus_expert": _interval(result.differences["expert"]["score"]),
+        "failed": _interval(result.summary["failed"]),
+    }
+
+
+def provenance(options: Options, tasks: Tasks, best: BestGains) -> dict[str, Any]:
+    """How gains were found and their scores on the validation seeds, as a file of gains has it.
+
+    `margin` says what the search changed of the task and the scores there; None where it changed nothing.
+    """
+    validation, margin = _validation_seeds(options), changes(tasks.own, tasks.flown)
     return {
         "command": options.command(),
         "package": formation_env.__version__,
         "seed": options.seed,
         "training": [TUNING_SEEDS, TUNING_SEEDS + options.episodes - 1],
         "validation": [validation.start, validation.stop - 1],
-        "score": _interval(result.score),
-        "score_minus_expert": _interval(result.differences["expert"]["score"]),
-        "failed": _interval(result.summary["failed"]),
+        **_figures(best.result),
+        "margin": {**margin, **_figures(best.flown)} if margin else None,
     }
 
 
@@ -105,22 +124,24 @@ def write_gains(
 def tune(options: Options) -> BestGains:
     """The whole search. Raises `ValueError` for wrong options, before anything is written."""
     config = options.check()
+    tasks = Tasks(config, flown_on(config, options.margin))
     path = options.output / f"{options.tunable.stem(config)}.json"
     if options.gains is not None and options.gains.exists():
         options.tunable.read(options.gains)
     if options.resume:
-        Journal(path, options, config).recorded()  # refused before a folder is made
+        Journal(path, options, *tasks).recorded()  # refused before a folder is made
     with claim(options.output, path.name):
-        return _searched(options, config, Journal(path, options, config), path)
+        return _searched(options, tasks, Journal(path, options, *tasks), path)
 
 
-def _searched(options: Options, config: FormationConfig, journal: Journal, path: Path) -> BestGains:
+def _searched(options: Options, tasks: Tasks, journal: Journal, path: Path) -> BestGains:
     """The search, with a journal that no other run writes: the journal and its entry in a file of gains."""
     recorded = journal.recorded() if options.resume else {}
     if path.exists() and not options.resume:
         raise ValueError(f"{path} exists: expected --resume to go on with it, or another --output")
-    best = _run(options, config, journal, recorded)
-    entry = {**options.tunable.document(best.gains), "made": provenance(options, best)}
+    config = tasks.own
+    best = _run(options, tasks, journal, recorded)
+    entry = {**options.tunable.document(best.gains), "made": provenance(options, tasks, best)}
     journal.write(entry)
     if options.gains is not None:
         write_gains(options.tunable, options.gains, config.scenario, config.action, entry)
@@ -128,27 +149,25 @@ def _searched(options: Options, config: FormationConfig, journal: Journal, path:
 
 
 def _run(
-    options: Options, config: FormationConfig, journal: Journal, recorded: dict[str, list[float]]
+    options: Options, tasks: Tasks, journal: Journal, recorded: dict[str, list[float]]
 ) -> BestGains:
     """Fly and validate candidates; the journal is written, whatever ends the search."""
     from tqdm import tqdm
 
-    tunable, choices = options.tunable, options.choices(config)
+    config, tunable, choices = tasks.own, options.tunable, options.choices(tasks.own)
     space, all_choices = tunable.space(config), tunable.choices(config, "both")
     seeds = range(TUNING_SEEDS, TUNING_SEEDS + options.episodes)
     share = max(1, options.evaluations // len(choices))
     # Before the threads start, since the first flight compiles; and the own gains have to fly.
     with compiling(options.quiet):
-        mean_score(make_policy(tunable.name, config), seeds)
+        mean_score(make_policy(tunable.name, tasks.flown), seeds)
     with (
         ThreadPoolExecutor(options.threads, thread_name_prefix="tune") as pool,
         tqdm(total=share * len(choices), disable=options.quiet, unit=" candidates") as bar,
     ):
 
-        def mean_scores(candidates: Sequence[Any]) -> list[float]:
-            # Made here, not in the threads: silencing warnings, as `configure` does, is not thread-safe.
-            policies = [tunable.policy(config, gains) for gains in candidates]
-            return list(pool.map(lambda policy: mean_score(policy, seeds), policies))
+        def scores(candidates: Sequence[Any]) -> list[float]:
+            return mean_scores(tunable, tasks.flown, candidates, seeds, pool)
 
         def on_generation(choice: str, generation: Sequence[Candidate]) -> None:
             journal.add(choice, generation)
@@ -158,7 +177,7 @@ def _run(
 
         try:
             for choice in choices:
-                flown = (mean_scores, on_generation, options.spread, options.seed)
+                flown = (scores, on_generation, options.spread, options.seed)
                 settings = Search(space, *flown, all_choices)
                 search(settings, choice, share, recorded.get(choice, ()))
         except BaseException:
@@ -167,7 +186,7 @@ def _run(
                 journal.write(None)
             raise
         finalists, validation = _finalists(options, config, journal), _validation_seeds(options)
-        return validate(config, tunable, finalists, validation, pool)
+        return validate(tasks, tunable, finalists, validation, pool)
 
 
 def _validation_seeds(options: Options) -> range:
