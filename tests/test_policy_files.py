@@ -8,7 +8,7 @@ import pickle
 import struct
 import warnings
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,8 @@ from baselines.policies.transfer import TransferWarning
 from baselines.policies.tuned import read
 from baselines.reporting.board import BEGIN, END
 from baselines.scoring.evaluation import evaluate, find_flyable
+from baselines.scoring.results import Source
+from baselines.scoring.runs import USUAL_TEACHER, find_runs, teacher_of
 from formation_env import FeasibilityWarning, FormationConfig, configure
 from formation_env.physics.vehicle import Vehicle
 from formation_env.scenarios import PAPER_NOISE
@@ -770,6 +772,61 @@ def test_shipped_methods_are_scored_unasked(
     with pytest.raises(SystemExit):
         command.main([*arguments, "--policies", "bc"])
     assert "'bc': no file for action level" in capsys.readouterr().err
+
+
+def test_a_run_that_ships_is_named_by_its_shipped_file(shipped: Path, tmp_path: Path) -> None:
+    """Whichever of the runs it is, and whatever score was written into its card; else by its own file."""
+    runs = []
+    for seed in (0, 1):
+        folder = tmp_path / f"run{seed}"
+        folder.mkdir()
+        own = replace(
+            card(), seed=seed, command=f"formation-train-imitate --seed {seed} --teacher lqr"
+        )
+        save(folder / "best.safetensors", own, network(own, seed=seed))
+        runs.append(folder)
+
+    def source() -> Source:
+        policies = find_runs(runs)
+        report = evaluate({"nominal": configure("nominal", duration=0.1)}, policies, episodes=2)
+        return report.scenarios["nominal"].sources["ppo"]
+
+    assert source().file == "best.safetensors", "of other runs than that which ships"
+    second, numbers = load(runs[1] / "best.safetensors")
+    save(
+        shipped / "ppo-nominal-wrench.safetensors",
+        replace(second, score={"nominal": [0.5] * 3}),
+        numbers,
+    )
+    found = source()
+    assert found.file == "ppo-nominal-wrench.safetensors"
+    hidden = tuple(len(bias) for bias in numbers.biases[:-1])
+    assert (found.teacher, found.history, found.hidden) == ("lqr", second.history, hidden)
+    assert hidden
+
+
+@pytest.mark.parametrize(
+    ("words", "teacher"),
+    [
+        ("formation-train-imitate --teacher lqr --rounds 3", "lqr"),
+        ("formation-train-imitate --rounds 3 --teacher=ff", "ff"),
+        ("formation-train-imitate --rounds 3", "expert"),
+        ("formation-train-ppo --steps 3", ""),
+        ("", ""),
+    ],
+)
+def test_the_teacher_is_that_of_the_command(words: str, teacher: str) -> None:
+    assert teacher_of(replace(card(), command=words)) == teacher
+
+
+def test_the_teacher_of_a_command_without_one_is_the_options_default() -> None:
+    pytest.importorskip("tyro")
+    from train.command_line import SCRIPTS
+    from train.imitate.options import Options
+
+    defaults = {f.name: f.default for f in fields(Options)}
+    assert defaults["teacher"] == USUAL_TEACHER
+    assert teacher_of(replace(card(), command=SCRIPTS["train.imitate"])) == USUAL_TEACHER
 
 
 @pytest.mark.usefixtures("shipped")
