@@ -28,7 +28,8 @@ from typing import Any, final
 
 from baselines.own import PolicyError, label
 from baselines.registry import available
-from baselines.reporting import board, demands, report
+from baselines.reporting import board, report
+from baselines.reporting.further import Further, fly_further
 from baselines.scoring import cluster, options, suite
 from baselines.scoring import evaluation as scoring
 from baselines.scoring.evaluation import EPISODES, Executor
@@ -202,7 +203,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     with ExitStack() as stack, _collected_warnings() as collected:
         try:
-            flown, best, command = _fly(given, parser, stack)
+            flown, further, command = _fly(given, parser, stack)
         except (cluster.ClusterError, PolicyError) as problem:
             if problem.__cause__ is not None:
                 console.complain("".join(traceback.format_exception(problem.__cause__)).rstrip())
@@ -212,7 +213,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             console.complain("interrupted: nothing was written")
             return 130
         try:
-            written = _write(flown, best, given, command)
+            written = _write(flown, further, given, command)
         except OSError as problem:
             console.complain(f"{parser.prog}: error: {problem}; earlier results are kept")
             return 1
@@ -222,9 +223,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _fly(
     given: argparse.Namespace, parser: argparse.ArgumentParser, stack: ExitStack
-) -> tuple[Report, dict[str, demands.Flown], str]:
-    """The results, for a leaderboard the flights of the best policies, and the command that repeats them; the
-    folders are claimed until `stack` is closed.
+) -> tuple[Report, Further, str]:
+    """The results, what is flown for a leaderboard beside them, and the command that repeats them.
+
+    The folders are claimed until `stack` is closed.
 
     Raises `SystemExit` for what is wrong with the options, `ClusterError` and `PolicyError`.
     """
@@ -251,8 +253,8 @@ def _fly(
             )
     except cluster.Unreachable as problem:
         parser.error(str(problem))
-    best = {} if given.leaderboard is None else demands.of_best(flown, flyable)
-    return flown, best, _command(given, available_policies)
+    further = Further() if given.leaderboard is None else fly_further(flown, flyable, given.threads)
+    return flown, further, _command(given, available_policies)
 
 
 @contextmanager
@@ -271,9 +273,7 @@ def _texts(collected: Sequence[warnings.WarningMessage]) -> list[str]:
     return list(dict.fromkeys(f"warning: {' '.join(str(w.message).split())}" for w in collected))
 
 
-def _write(
-    result: Report, best: dict[str, demands.Flown], given: argparse.Namespace, command: str
-) -> list[Path]:
+def _write(result: Report, further: Further, given: argparse.Namespace, command: str) -> list[Path]:
     """Write all files; returns their paths. Raises `OSError`."""
     folder: Path = given.output
     about = f"# Results\n\n```bash\n{command}\n```\n\n"
@@ -283,7 +283,7 @@ def _write(
     if given.matrix is not None:
         written.append(suite.write(suite.matrix(result), given.matrix))
     if given.leaderboard is not None:
-        written += board.write(result, given.leaderboard, command, best)
+        written += board.write(result, given.leaderboard, command, further)
     return written
 
 

@@ -48,6 +48,7 @@ class Recipe(NamedTuple):
     file: str = ""  # its name without the folder
     card: Card | None = None
     own: str = ""  # name of a user's own policy
+    hidden: tuple[int, ...] = ()  # of a policy file: widths of the network's hidden layers
 
 
 class Unshipped(Misfit):
@@ -107,7 +108,8 @@ def _from_file(name: str, config: FormationConfig) -> Recipe:
             f"{tried}"
         )
     source = load(path)
-    made = Recipe(partial(Learned, source=source), path.name, source[0])
+    hidden = tuple(len(b) for b in source[1].biases[:-1])
+    made = Recipe(partial(Learned, source=source), path.name, source[0], hidden=hidden)
     try:
         require_fit(source[0], config)
     except Misfit as problem:
@@ -118,10 +120,15 @@ def _from_file(name: str, config: FormationConfig) -> Recipe:
 def _shipped(method: str, config: FormationConfig) -> Path | None:
     """The file of a method for a configuration, if there is one."""
     for scenario in dict.fromkeys((config.scenario, USUAL)):
-        path = SHIPPED / f"{method}-{scenario}-{config.action}{SUFFIX}"
+        path = shipped_file(method, scenario, config.action)
         if path.is_file():
             return path
     return None
+
+
+def shipped_file(method: str, scenario: str, action: str) -> Path:
+    """Where the policy of a method that was trained for a scenario at an action level lies, if it ships."""
+    return SHIPPED / f"{method}-{scenario}-{action}{SUFFIX}"
 
 
 def make_policy(policy: Any, config: FormationConfig) -> Policy:

@@ -12,11 +12,16 @@ from made_reports import LEARNED, Floats, large, scenario
 
 from baselines import evaluate as command
 from baselines.registry import POLICIES
-from baselines.reporting import board, findings, profile, report
-from baselines.reporting.findings import agreed_best
+from baselines.reporting import board, profile, report
+from baselines.reporting.cells import rounded
+from baselines.reporting.further import Further
+from baselines.reporting.rows import agreed_best
+from baselines.scoring.changes import CHANGES
+from baselines.scoring.intervals import Estimate
 from baselines.scoring.results import Report
-from baselines.scoring.suite import matrix, suite_score
-from formation_env import configure
+from baselines.scoring.robustness import LEADER, Cell, Robustness
+from baselines.scoring.suite import matrix, probability_of_improvement, suite_score
+from formation_env import SCENARIOS, configure
 
 QUICK = ["--scenarios", "nominal", "--policies", "hover", "--episodes", "2", "--duration", "0.1"]
 
@@ -29,6 +34,20 @@ def near(level: float, seed: int = 0, count: int = 30) -> Floats:
 @pytest.fixture(scope="module")
 def board_of_nine() -> Report:
     return large(9)
+
+
+def tried(result: Report) -> Robustness:
+    """As much as robustness may become: every policy on five tasks under every change."""
+    tasks = tuple(f"scenario{k}" for k in range(5))
+    names = [name for name in result.policies if name not in ("hover", "random")]
+    plain = {(name, task): Cell(0.912, 0.0) for name in names for task in tasks}
+    cells = {(*key, change.name): Cell(0.123, 0.5) for key in plain for change in CHANGES}
+    void = {
+        (task, change): LEADER
+        for task in tasks[:2]
+        for change in (CHANGES[0].name, CHANGES[3].name)
+    }
+    return Robustness(range(20), tasks, CHANGES, plain, cells, void, {})
 
 
 # -- the short page -------------------------------------------------------------------------------
@@ -44,18 +63,21 @@ def cells(text: str, row: str) -> list[str]:
 def test_it_is_short(scenarios: int) -> None:
     """However many policies fly: 8 kB, with all of its parts."""
     result = large(scenarios)
-    text = board.leaderboard(result, "command", matrix(result))
+    text = board.leaderboard(result, "command", matrix(result), Further(robustness=tried(result)))
     assert len(text.encode()) <= 8000
     for part in (
         board.LEGEND,
         board.ADD,
         "## What it says",
         "[statistics](docs/board/statistics.md)",
+        "[robustness](docs/board/robustness.md)",
     ):
         assert part in text
-    assert text.count("## ") == 2
     assert len(cells(text, "ppo")) == scenarios
-    assert ("±" in text.split("## What")[0].split("| `ppo`")[1]) == (scenarios < 10)
+    assert ("±" in text.split("\n## ")[0].split("| `ppo`")[1]) == (scenarios < 9)
+    assert ("## Robustness" in text) == (scenarios < 10) == (text.count("## ") == 3)
+    if scenarios < 10:
+        assert len(cells(text.split("## Robustness")[1], "ppo")) == 1 + len(CHANGES)
 
 
 def test_every_learned_cell_says_what_it_was_trained_for(board_of_nine: Report) -> None:
@@ -64,14 +86,56 @@ def test_every_learned_cell_says_what_it_was_trained_for(board_of_nine: Report) 
         for k, cell in enumerate(cells(text, method)):
             assert cell.endswith(" own") if k % 2 == 0 else re.fullmatch(r"\*.* experiment\*", cell)
     for cell in cells(text, "lee"):
-        assert re.fullmatch(r"\**0\.\d{3}( ±\.\d{3})?\**", cell)
+        assert re.fullmatch(r"\**0\.\d{3}( ±\.\d{3}| \(\.\d{3} \.\. \.\d{3}\))?\**", cell)
 
 
-def test_failures_are_shown_where_there_are_any(board_of_nine: Report) -> None:
-    text = board.leaderboard(board_of_nine, "command", matrix(board_of_nine))
+def test_failures_are_shown_where_there_are_any() -> None:
+    result = large(3)
+    text = board.leaderboard(result, "command", matrix(result))
     table = text.split(board.LEGEND)[1].split("## What")[0]
-    assert cells(f"{table} ", "ppo") == ["", "48"] * 4
+    assert cells(f"{table} ", "ppo")[:2] == ["", "48"]
     assert "`expert`" not in table
+
+
+@pytest.mark.parametrize(
+    ("estimate", "text"),
+    [
+        ((0.9, 0.88, 0.92), "0.900 ±.020"),
+        ((0.9, 0.88, 0.915), "0.900 ±.020"),
+        ((0.9, 0.88, 0.91), "0.900 (.880 .. .910)"),
+        ((0.932, 0.398, 0.970), "0.932 (.398 .. .970)"),
+        ((0.5, 0.4999, 0.5004), "0.500"),
+        ((0.99, 0.97, 1.0), "0.990 (.970 .. 1.000)"),
+        ((0.99, 0.975, 1.0), "0.990 (.975 .. 1.000)"),
+        ((0.01, 0.0, 0.025), "0.010 (.000 .. .025)"),
+        ((0.983, 0.9822, 0.9834), "0.983 ±.001"),
+        ((1.0, 1.0, 1.0), "1.000"),
+    ],
+)
+def test_an_interval_is_one_half_only_where_it_has_two(
+    estimate: tuple[float, float, float], text: str
+) -> None:
+    assert rounded(Estimate(*estimate, 100)) == text
+
+
+def test_the_worst_run_stands_beside_the_median_where_it_is_another() -> None:
+    def cell(worst: float) -> str:
+        runs = [near(x, i) for i, x in enumerate((worst, 0.9, 0.9, 0.9, 0.9))]
+        result = Report(0, 30, {"nominal": scenario({"ppo": runs}, {"ppo": "nominal"})})
+        return cells(board.leaderboard(result, "command", matrix(result)), "ppo")[0]
+
+    assert re.fullmatch(
+        r"0\.9\d\d \(\.4\d\d \.\. \.9\d\d\), worst \.4\d\d own|0\.8.*, worst \.4\d\d own",
+        cell(0.406),
+    )
+    assert "worst" not in cell(0.89)
+
+
+def test_a_tuned_law_is_not_bold() -> None:
+    runs = {"expert": [near(0.9, 9)], "expert-tuned": [near(0.95, 1)]}
+    result = Report(0, 30, {"nominal": scenario(runs)})
+    text = board.leaderboard(result, "command", matrix(result))
+    assert "*" not in cells(text, "expert-tuned")[0] and "`-tuned` is one search" in text
 
 
 def test_best_only_if_all_training_runs_agree() -> None:
@@ -97,44 +161,11 @@ def test_the_best_is_bold_and_nothing_else() -> None:
     assert "*" not in cells(text, "expert")[0]
 
 
-# -- what it says ---------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def textbook(monkeypatch: pytest.MonkeyPatch) -> None:
     """All laws of `made_reports` are programmed ones."""
     for name in ("ff", "ff-filter", "ff-tuned", "lee", "lee-tuned", "lqr", "lqr-tuned"):
         monkeypatch.setitem(POLICIES, name, POLICIES["expert"])
-
-
-@pytest.mark.usefixtures("textbook")
-def test_three_to_five_findings_said_once(board_of_nine: Report) -> None:
-    m = matrix(board_of_nine)
-    said = findings.findings(board_of_nine, m)
-    assert 3 <= len(said) <= 5
-    titles = [re.match(r"\*\*(.+?)\.\*\*", text)[1] for text in said]  # type: ignore[index]
-    assert len(set(titles)) == len(titles)
-    paper = said[0]
-    score = suite_score(m, "expert").interquartile_mean.value
-    assert f"`expert` {score:.3f}" in paper and "`expert` is number 1 of 5" in paper
-    assert "`expert-tuned` is number 1 of 4" in paper
-    learned, transfer = said[2], said[3]
-    # Five of nine scenarios are learned by eight methods, of which the first ones are above the expert.
-    own = [
-        s.results[method].differences["expert"]["score"]
-        for k, s in enumerate(board_of_nine.scenarios.values())
-        for method in LEARNED
-        if k % 2 == 0
-    ]
-    above, below = sum(e.low > 0 for e in own), sum(e.high < 0 for e in own)
-    assert f"Of {len(own)} cells, of 5 training runs each" in learned
-    assert f"{above} above `expert`, {below} below;" in learned
-    assert "and 0 %, trained for another one 0." in transfer and transfer.endswith("and 48 %.")
-
-
-def test_findings_without_a_subject_are_left_out() -> None:
-    alone = Report(0, 30, {"nominal": scenario({"hover": [near(0.1)]})})
-    assert findings.findings(alone, matrix(alone)) == []
 
 
 # -- the pages ------------------------------------------------------------------------------------
@@ -157,6 +188,7 @@ def test_all_of_it_is_written_and_again_the_same(tmp_path: Path) -> None:
     names = {
         "nominal.md",
         "scenarios.md",
+        "robustness.md",
         "files.md",
         "figures.md",
         "statistics.md",
@@ -171,9 +203,41 @@ def test_all_of_it_is_written_and_again_the_same(tmp_path: Path) -> None:
     assert {p: p.read_bytes() for p in first} == first
 
 
+def test_statistics_are_first_of_the_scenarios_at_their_own_level() -> None:
+    """Which are not counted twice; of five the interquartile mean leaves out 1.25 at each end."""
+    configs = {name: configure(name) for name in SCENARIOS}
+    configs |= {f"{name}:rates": configure(name, action="rates") for name in ("nominal", "agile")}
+    rng = np.random.default_rng(0)
+    scores = {name: rng.random(2) for name in configs}
+    made = {
+        name: scenario({"expert": [near(x)], "ff": [near(y, 1)]}, config=configs[name])
+        for name, (x, y) in scores.items()
+    }
+    result = Report(0, 30, made)
+    m = matrix(result)
+    first, rest = board.pages(result, m)[board.STATISTICS].split("## All scenarios")
+    assert (
+        "`swarm`. Of a method of one run the interquartile mean leaves out its 1.25 best" in first
+    )
+    assert (
+        "`agile:rates`. Of a method of one run the interquartile mean leaves out its 1.75 best"
+        in rest
+    )
+    assert "scenarios are held fixed" in first
+    for text, names in ((first, tuple(SCENARIOS)), (rest, m.scenario)):
+        score = suite_score(m, "ff", names)
+        assert cells(text, "ff")[:2] == [str(len(names)), "-"]
+        assert cells(text, "ff")[2].startswith(f"{score.mean.value:.3f} (")
+        assert cells(text, "ff")[3].startswith(f"{score.interquartile_mean.value:.3f} (")
+    p = probability_of_improvement(m, "ff", "expert", tuple(SCENARIOS))
+    improvement = rest.split("## Probability")[1]
+    assert "Over `nominal`, `paper`, `experiment`, `agile`, `swarm`." in improvement
+    assert cells(improvement, "ff")[0].startswith(f"{p.value:.2f} (")
+
+
 def test_links_lead_to_pages(board_of_nine: Report) -> None:
     m = matrix(board_of_nine)
-    pages = board.pages(board_of_nine, m, {})
+    pages = board.pages(board_of_nine, m)
     known = {*pages, board.PICTURE, board.JSON}
     text = board.leaderboard(board_of_nine, "command", m)
     assert {Path(link).name for link in re.findall(r"\]\((docs/board/[^)]+)\)", text)} == known - {
@@ -187,7 +251,7 @@ def test_links_lead_to_pages(board_of_nine: Report) -> None:
 
 def test_pages_hold_differences_runs_and_their_median(board_of_nine: Report) -> None:
     name = next(iter(board_of_nine.scenarios))
-    page = board.pages(board_of_nine, matrix(board_of_nine), {})[board.page_name(name)]
+    page = board.pages(board_of_nine, matrix(board_of_nine))[board.page_name(name)]
     for other in ("expert", "expert-tuned", "ff"):
         assert f"score minus `{other}`'s" in page
     result = board_of_nine.scenarios[name].results["ppo"]

@@ -11,10 +11,13 @@ import pytest
 from baselines import make_policy
 from baselines.reporting import board, demands
 from baselines.reporting.demands import Demands, Flown, Percentiles, causes, measure, parts
+from baselines.reporting.further import Further
 from baselines.scoring.evaluation import evaluate, find_flyable
+from baselines.scoring.rollout import fly
 from baselines.scoring.suite import matrix
-from formation_env import FormationConfig, configure
+from formation_env import SCENARIOS, FormationConfig, configure
 from formation_env.config import NO_NOISE
+from formation_env.core.simulation import Simulation
 from formation_env.physics.quadrotor import GRAVITY
 from formation_env.trajectories import circle, hover
 
@@ -29,7 +32,10 @@ def flown(config: FormationConfig, policy: str = "expert", worlds: int = 3) -> D
 @pytest.mark.parametrize("action", ["wrench", "rates", "reference"])
 def test_hovering_asks_for_the_weight_and_nothing_else(action: str) -> None:
     d = flown(configure("nominal", trajectory=hover(), action=action, duration=2.0, **STILL))
+    assert np.isnan(d.jump.median), "they start in formation"
     for name, expected in Demands(*(0.0,) * len(Demands._fields))._asdict().items():  # type: ignore[arg-type]
+        if name == "jump":
+            continue
         wanted = 1.0 if name == "thrust" else expected
         assert getattr(d, name) == pytest.approx([wanted] * 3, abs=1e-5), name
 
@@ -77,6 +83,30 @@ def test_only_ticks_after_the_trigger_count() -> None:
     assert d.thrust.low > 0.9 and 0.2 < d.speed.median < 0.7
 
 
+def test_the_jump_of_the_slots_is_that_from_the_paths_first_point_to_the_leader() -> None:
+    """At the trigger (40) the leader is within 0.25 m of its first reference point; without noise it comes
+    along one line, and the slot moves as far as the leader is off."""
+    config = configure("paper", noise=NO_NOISE, path="as given", duration=20.0)
+    d, off = flown(config, worlds=1), []
+
+    def watch(simulation: Simulation, *_: object) -> None:
+        if simulation.started[0] and not off:
+            first = simulation.reference(np.zeros(1))[0]
+            off.append(float(np.linalg.norm(simulation.leaders[0] - first)))
+
+    fly(make_policy("expert", config), range(1), watch=watch)
+    assert d.jump.median == pytest.approx(off[0], abs=0.02)
+    assert 0.1 < d.jump.median < 0.27
+
+
+def test_what_is_not_from_the_paper_is_said_of_every_scenario() -> None:
+    configs = {name: configure(name, duration=0.1) for name in SCENARIOS}
+    report = evaluate(configs, ["hover"], episodes=1)
+    told = "\n".join(parts(report, dict.fromkeys(configs, Flown("hover", NOTHING))))
+    assert told.count(" Not from the paper: ") == len(SCENARIOS)
+    assert "the rate at which the noise is drawn" in told.split("**paper.**")[1].split("**exp")[0]
+
+
 def test_thrust_axes_are_those_of_the_attitude() -> None:
     half = 0.5 * np.array([0.3, -0.2])
     rolled = [np.cos(half[0]), np.sin(half[0]), 0.0, 0.0]
@@ -92,9 +122,18 @@ def test_thrust_axes_are_those_of_the_attitude() -> None:
 @pytest.mark.parametrize(
     ("config", "said", "unsaid"),
     [
-        (configure("nominal"), ["are exact", "0.04 m/s^2"], ["floor", "noise", "places"]),
+        (
+            configure("nominal"),
+            ["are exact", "0.04 m/s^2", "up to 0.15 m"],
+            ["floor", "noise", "down to"],
+        ),
+        (configure("nominal", start_offset=0.0), ["start at their places, in flight"], ["up to"]),
         (configure("nominal", gust=0.0), ["are exact"], ["gusts"]),
-        (configure("paper"), ["noise of 0.2 m, 0.1 m/s", "within 0.25 m", "15 s"], ["gusts"]),
+        (
+            configure("paper"),
+            ["noise of 0.2 m, 0.1 m/s", "anew 50 times a second", "within 0.25 m", "15 s"],
+            ["gusts", "in flight"],
+        ),
         (configure("experiment"), ["50 Hz", "44 Hz", "100 samples", "1 s late"], ["noise"]),
         (configure("experiment", window=20), ["20 samples", "0.2 s late"], []),
         (configure("swarm"), ["17 vehicles", "0.353 m"], ["floor"]),
@@ -118,7 +157,7 @@ def test_levels_share_a_paragraph_and_what_never_starts_has_no_figures() -> None
     table, told = parts(report, dict.fromkeys(configs, Flown("hover", NOTHING)))[1:]
     assert "| `paper:rates` | `hover` | - | - | - | - | - |" in table
     assert told.startswith("**paper, paper:rates.** ")
-    assert told.endswith("No flight got past its start.")
+    assert "No flight got past its start." in told and "jump" not in told
 
 
 def test_the_crowd_says_the_least_distance_of_the_slots() -> None:
@@ -135,7 +174,7 @@ def test_the_page_shows_the_best_row_and_its_figures() -> None:
     found = demands.of_best(report, flyable, quiet=True)
     assert {name: each.policy for name, each in found.items()} == dict.fromkeys(configs, "expert")
     assert found["agile"].demands == measure(make_policy("expert", configs["agile"]), range(5, 8))
-    page = board.pages(report, matrix(report), found)[board.DEMANDS]
+    page = board.pages(report, matrix(report), Further(demands=found))[board.DEMANDS]
     for name, (_, d) in found.items():
         (row,) = (line for line in page.splitlines() if line.startswith(f"| `{name}` | `expert` |"))
         assert f"| {d.tilt.low:.1f} / {d.tilt.median:.1f} / {d.tilt.high:.1f} |" in row

@@ -383,7 +383,7 @@ def test_interruption_stops_the_flight(
 ) -> None:
     """Whatever stops one worker stops all of them, and no results appear; also while compiling."""
 
-    def interrupted(*_: object, most: int | None = None) -> None:
+    def interrupted(*_: object, most: int | None = None, **__: object) -> None:
         if (most is not None) == early:
             raise KeyboardInterrupt
 

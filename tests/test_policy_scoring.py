@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,13 @@ from networks import NOMINAL, card, looks, network
 
 from baselines import evaluate as command
 from baselines import make_policy, registry
-from baselines.files import save
+from baselines.files import load, save
 from baselines.policies.base import Policy
 from baselines.policies.learned import Learned, Misfit
 from baselines.reporting.board import BEGIN, END
 from baselines.scoring.evaluation import evaluate, find_flyable
+from baselines.scoring.results import Source
+from baselines.scoring.runs import USUAL_TEACHER, find_runs, teacher_of
 from formation_env import configure
 
 
@@ -125,6 +128,61 @@ def test_shipped_methods_are_scored_unasked(
     with pytest.raises(SystemExit):
         command.main([*arguments, "--policies", "bc"])
     assert "'bc': no file for action level" in capsys.readouterr().err
+
+
+def test_a_run_that_ships_is_named_by_its_shipped_file(shipped: Path, tmp_path: Path) -> None:
+    """Whichever of the runs it is, and whatever score was written into its card; else by its own file."""
+    runs = []
+    for seed in (0, 1):
+        folder = tmp_path / f"run{seed}"
+        folder.mkdir()
+        own = replace(
+            card(), seed=seed, command=f"formation-train-imitate --seed {seed} --teacher lqr"
+        )
+        save(folder / "best.safetensors", own, network(own, seed=seed))
+        runs.append(folder)
+
+    def source() -> Source:
+        policies = find_runs(runs)
+        report = evaluate({"nominal": configure("nominal", duration=0.1)}, policies, episodes=2)
+        return report.scenarios["nominal"].sources["ppo"]
+
+    assert source().file == "best.safetensors", "of other runs than that which ships"
+    second, numbers = load(runs[1] / "best.safetensors")
+    save(
+        shipped / "ppo-nominal-wrench.safetensors",
+        replace(second, score={"nominal": [0.5] * 3}),
+        numbers,
+    )
+    found = source()
+    assert found.file == "ppo-nominal-wrench.safetensors"
+    hidden = tuple(len(bias) for bias in numbers.biases[:-1])
+    assert (found.teacher, found.history, found.hidden) == ("lqr", second.history, hidden)
+    assert hidden
+
+
+@pytest.mark.parametrize(
+    ("words", "teacher"),
+    [
+        ("formation-train-imitate --teacher lqr --rounds 3", "lqr"),
+        ("formation-train-imitate --rounds 3 --teacher=ff", "ff"),
+        ("formation-train-imitate --rounds 3", "expert"),
+        ("formation-train-ppo --steps 3", ""),
+        ("", ""),
+    ],
+)
+def test_the_teacher_is_that_of_the_command(words: str, teacher: str) -> None:
+    assert teacher_of(replace(card(), command=words)) == teacher
+
+
+def test_the_teacher_of_a_command_without_one_is_the_options_default() -> None:
+    pytest.importorskip("tyro")
+    from train.command_line import SCRIPTS
+    from train.imitate.options import Options
+
+    defaults = {f.name: f.default for f in fields(Options)}
+    assert defaults["teacher"] == USUAL_TEACHER
+    assert teacher_of(replace(card(), command=SCRIPTS["train.imitate"])) == USUAL_TEACHER
 
 
 @pytest.mark.usefixtures("shipped")

@@ -56,6 +56,39 @@ def test_json_has_six_digits(short_report: Report) -> None:
                     assert (x is None and np.isnan(y)) or x == pytest.approx(y, rel=1e-5)
 
 
+def test_failures_are_counted_over_all_runs() -> None:
+    """Of the run in the middle and of the others, as the column's head says."""
+    made = scenario(
+        {"ppo": [np.full(4, x) for x in (0.5, 0.9, 0.7)]},
+        {"ppo": "paper"},
+        failed=0.5,
+    )
+    row = made.results["ppo"]
+    assert sum(row.failures.values()) == 6 and row.failed == 0.5
+    assert "| failures, all runs |" in "\n".join(report.details(made))
+
+
+def test_the_files_table_says_whose_clone_a_policy_is() -> None:
+    made = scenario(
+        {"dagger": [np.full(4, 0.5)], "ppo": [np.full(4, 0.5)]},
+        {"dagger": "nominal", "ppo": "nominal"},
+    )
+    source = made.sources["dagger"]._replace(teacher="lqr", history=4, hidden=(64, 32))
+    text = report.files_table(
+        Report(0, 4, {"nominal": made._replace(sources={**made.sources, "dagger": source})})
+    )
+    assert "| `nominal` | `wrench` | `lqr` | 4 | 64 32 | `nominal` |" in text
+    assert "| `nominal` | `wrench` | - | 1 | - | `nominal` |" in text
+
+
+def test_native_scenarios_are_those_at_their_own_level() -> None:
+    one = scenario({"ff": [np.full(4, 0.5)]})
+    rates = scenario({"ff": [np.full(4, 0.5)]}, config=configure("nominal", action="rates"))
+    assert Report(0, 4, {"nominal": one, "nominal:rates": rates, "x": one}).native == ("nominal",)
+    assert Report(0, 4, {"nominal": rates}).native == ("nominal",), "all, where there is none"
+    assert Report(0, 4, {"x": one, "nominal": rates}).native == ("x", "nominal")
+
+
 def test_markdown_tables_are_whole(short_report: Report) -> None:
     """Every row of a table has as many cells as its head: a `|` in a text would break that."""
     text = report.markdown(short_report).replace("\\|", "")

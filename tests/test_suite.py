@@ -225,6 +225,17 @@ def test_only_scenarios_that_both_have_flown_are_compared() -> None:
         suite_score(m, "z")
 
 
+def test_a_part_of_a_matrix_has_its_scenarios_and_who_has_flown_one() -> None:
+    good, none = np.full((1, 3), 0.9), np.zeros((0, 3))
+    m = made({"x": [good, good * 0.5, good], "y": [none, good, none]}, 3)
+    part = suite.over(m, ["task 2", "task 0"])
+    assert part.scenario == ("task 2", "task 0") and part.method == ("x",)
+    assert suite.over(m, m.scenario).method == m.method
+    assert suite_score(part, "x").mean.value == pytest.approx(0.9)
+    whole = suite_score(m, "x", ["task 0", "task 2"])
+    assert suite_score(suite.over(m, ["task 0", "task 2"]), "x") == whole
+
+
 # -- the file -------------------------------------------------------------------------------------
 
 

@@ -1,23 +1,25 @@
 """The leaderboard: LEADERBOARD.md, its pages in docs/board, and the README's extract, between two markers.
 
-The first is one table and a few sentences, `LARGEST` bytes at most. Everything else that was measured stands
-in the pages: one for each scenario, what the scenarios ask of the vehicles, the files that flew, statistics
-over scenarios with a picture, and `results.json`.
+The first is a few tables and sentences, `LARGEST` bytes at most. Everything else that was measured stands
+in the pages: one for each scenario, what the scenarios ask of the vehicles, robustness, the files that flew,
+statistics over scenarios with a picture, and `results.json`.
 """
 
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 import formation_env
-from baselines.reporting import demands, profile, report, statistics
+from baselines.reporting import demands, profile, report, robustness, statistics
 from baselines.reporting.cells import markdown_table, rounded
-from baselines.reporting.findings import SEEDS, agreed_best, findings
+from baselines.reporting.findings import findings
+from baselines.reporting.further import Further
+from baselines.reporting.rows import SEEDS, agreed_best
 from baselines.scoring.results import Report, Scenario
-from baselines.scoring.suite import Matrix, matrix
+from baselines.scoring.suite import Matrix, matrix, over
 from baselines.system.reading import read_text
 from baselines.system.writing import write_text
 
@@ -25,15 +27,17 @@ NAME, README = "LEADERBOARD.md", "README.md"
 PAGES = Path("docs/board")
 PICTURE, JSON = "profile.png", "results.json"
 FILES, STATISTICS, FIGURES = "files.md", "statistics.md", "figures.md"
-DEMANDS = "scenarios.md"
+DEMANDS, ROBUSTNESS = "scenarios.md", "robustness.md"
 BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"
 LARGEST = 8000  # bytes of LEADERBOARD.md
 
+WORST = 0.02  # by which the worst run's score is below the median's where it is shown
 LEGEND = (
-    "Behind a learned score: what it was trained for, `own` the scenario itself. *Italics*: transfer, "
-    "trained for another one. `-`: does not fly it. NAME:LEVEL: at another action level than the scenario's. "
-    f"**Bold**: every training run, {SEEDS} or more of a learned policy, scores above every run of all "
-    "others (95 %, paired)."
+    f"Behind a learned score: the worst run's where lower by {WORST:g} or more; what it was trained for, "
+    "`own` the scenario itself. *Italics*: transfer. `-`: does not fly it. NAME:LEVEL: at another action "
+    "level. "
+    f"**Bold**: every run, of what was trained or searched {SEEDS} at least, scores above every run of all "
+    "others (95 %, paired); `-tuned` is one search, so not bold."
 )
 ADD = (
     "1. A controller: `formation-evaluate --policies expert,ff,mine.py:MyPolicy` scores it beside others.\n"
@@ -49,9 +53,12 @@ Cell = Callable[[Scenario, str], str]
 # -- the short page -------------------------------------------------------------------------------
 
 
-def leaderboard(result: Report, command: str, figures: Matrix) -> str:
-    """The text of LEADERBOARD.md: where it would be too long without intervals in the table, and if need be
-    without the failures, which the pages have too."""
+def leaderboard(
+    result: Report, command: str, figures: Matrix, further: Further | None = None
+) -> str:
+    """The text of LEADERBOARD.md: where it would be too long without the failures, then without intervals in
+    the table, and if need be without robustness, all of which the pages have too."""
+    further = further or Further()
     best = {id(s): agreed_best(s) for s in result.scenarios.values() if s.results}
 
     def cell(number: Cell) -> Cell:
@@ -61,15 +68,27 @@ def leaderboard(result: Report, command: str, figures: Matrix) -> str:
             source = scenario.sources.get(policy)
             if source is None:
                 return found
-            return f"{found} {source.scenario if source.differs else 'own'}"
+            return (
+                f"{found}{_worst(scenario, policy)} {source.scenario if source.differs else 'own'}"
+            )
 
         return text
 
-    said = findings(result, figures)
-    page = partial(_page, result, command, said)
+    said = findings(result, figures, further)
+    page, failed, robust = (
+        partial(_page, result, command, said),
+        _failures(result),
+        _robustness(further),
+    )
     text = ""
-    for number, failures in ((_with_interval, True), (_alone, True), (_alone, False)):
-        text = page(cell(number), _failures(result) if failures else "")
+    for number, failures, tried in (
+        (_with_interval, failed, robust),
+        (_with_interval, "", robust),
+        (_alone, failed, robust),
+        (_alone, "", robust),
+        (_alone, "", []),
+    ):
+        text = page(cell(number), failures, tried)
         if len(text.encode()) <= LARGEST:
             break
     return text
@@ -83,7 +102,23 @@ def _alone(scenario: Scenario, policy: str) -> str:
     return f"{scenario.results[policy].score.value:.3f}"
 
 
-def _page(result: Report, command: str, said: list[str], cell: Cell, failures: str) -> str:
+def _worst(scenario: Scenario, policy: str) -> str:
+    """The worst run's score, where it is clearly below the median's."""
+    result = scenario.results[policy]
+    worst = min(result.scores.values())
+    return f", worst {f'{worst:.3f}'.lstrip('0')}" if result.score.value - worst >= WORST else ""
+
+
+def _robustness(further: Further) -> list[str]:
+    found = further.robustness
+    if found is None or not found.plain:
+        return []
+    return ["## Robustness", robustness.caption(found), robustness.table(found)]
+
+
+def _page(
+    result: Report, command: str, said: list[str], cell: Cell, failures: str, robust: list[str]
+) -> str:
     layout = next(iter(result.scenarios.values())).config.layout.version
     last = result.seed + result.episodes - 1
     return "\n\n".join(
@@ -95,7 +130,8 @@ def _page(result: Report, command: str, said: list[str], cell: Cell, failures: s
             "runs and episodes.",
             report.grid(result, cell),
             LEGEND,
-            *(["Episodes that failed, % (none where empty):", failures] if failures else []),
+            *(["Episodes of all runs that failed, % (none where empty):", failures] if failures else []),
+            *robust,
             "## What it says",
             *said,
             "## How to add a row",
@@ -110,7 +146,7 @@ def _failures(result: Report) -> str:
 
     def cell(scenario: Scenario, policy: str) -> str:
         known = scenario.results.get(policy)
-        failed = known.summary["failed"].value if known else 0.0
+        failed = known.failed if known else 0.0
         return f"{100.0 * failed:.{0 if failed >= 0.01 else 1}f}" if failed else ""
 
     rows = {p: [cell(s, p) for s in result.scenarios.values()] for p in result.policies}
@@ -120,7 +156,7 @@ def _failures(result: Report) -> str:
 
 def _links(result: Report) -> str:
     pages = {name: page_name(name) for name in result.scenarios}
-    pages |= {"what makes each hard": DEMANDS}
+    pages |= {"what makes each hard": DEMANDS, "robustness": ROBUSTNESS}
     pages |= {"statistics": STATISTICS, "policy files": FILES, "meanings": FIGURES, "all": JSON}
     return ", ".join(f"[{name}]({PAGES.as_posix()}/{file})" for name, file in pages.items())
 
@@ -133,8 +169,10 @@ def page_name(scenario: str) -> str:
     return f"{''.join(c if c.isalnum() else '-' for c in scenario)}.md"
 
 
-def pages(result: Report, figures: Matrix, flown: Mapping[str, demands.Flown]) -> dict[str, str]:
-    """The texts of the pages by file name; `flown` is what each scenario asks of its best policy."""
+def pages(result: Report, figures: Matrix, further: Further | None = None) -> dict[str, str]:
+    """The texts of the pages by file name."""
+    further = further or Further()
+    robust = further.robustness
     back = f"[Leaderboard](../../{NAME})"
     meanings = f"[what the figures mean]({FIGURES})"
     files = report.files_table(result) or "No policy file has flown."
@@ -144,7 +182,12 @@ def pages(result: Report, figures: Matrix, flown: Mapping[str, demands.Flown]) -
             page_name(name): _joined([f"# {name}", f"{back}, {meanings}", *report.details(each)])
             for name, each in result.scenarios.items()
         },
-        DEMANDS: _joined(["# What makes each scenario hard", back, *demands.parts(result, flown)]),
+        DEMANDS: _joined(
+            ["# What makes each scenario hard", back, *demands.parts(result, further.demands)]
+        ),
+        ROBUSTNESS: _joined(
+            ["# Robustness", back, *(robustness.parts(robust) if robust else ["Not flown."])]
+        ),
         FILES: _joined(["# Policy files", back, files, *absent]),
         FIGURES: _joined(["# Figures", back, report.SCORE, report.meanings()]),
         STATISTICS: _joined(
@@ -190,23 +233,20 @@ def check(checkout: Path) -> None:
         raise ValueError(f"{path}: {problem}") from None
 
 
-def write(
-    result: Report, checkout: Path, command: str, flown: Mapping[str, demands.Flown]
-) -> list[Path]:
-    """Write all of it; returns the paths. Pages of scenarios that are no longer flown are removed. `flown`:
-    `demands.of_best`.
+def write(result: Report, checkout: Path, command: str, further: Further) -> list[Path]:
+    """Write all of it; returns the paths. Pages of scenarios that are no longer flown are removed.
 
     Raises `OSError`, `ValueError`.
     """
     figures, folder = matrix(result), checkout / PAGES
     texts = {
-        checkout / NAME: leaderboard(result, command, figures),
+        checkout / NAME: leaderboard(result, command, figures, further),
         checkout / README: with_extract(read_text(checkout / README), extract(result)),
         folder / JSON: report.to_json(result, command),
-        **{folder / name: text for name, text in pages(result, figures, flown).items()},
+        **{folder / name: text for name, text in pages(result, figures, further).items()},
     }
     folder.mkdir(parents=True, exist_ok=True)
-    profile.draw(figures, folder / PICTURE)
+    profile.draw(over(figures, statistics.primary(result, figures)), folder / PICTURE)
     for path, text in texts.items():
         write_text(path, text)
     for path in set(folder.glob("*.md")) - set(texts):

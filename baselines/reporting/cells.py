@@ -27,9 +27,21 @@ def scored(s: Estimate) -> str:
 
 
 def rounded(s: Estimate) -> str:
-    """A score with the longer half of its interval."""
-    half = max(s.high - s.value, s.value - s.low)
-    return f"{s.value:.3f}" if half < 0.0005 else f"{s.value:.3f} ±{f'{half:.3f}'.lstrip('0')}"
+    """A score with the longer half of its interval; with both ends where the halves differ by more than a
+    third of it and 0.001, or where the interval so written would go beyond 0 or 1."""
+    low, high = s.value - s.low, s.high - s.value
+    half = max(low, high)
+    if half < 0.0005:
+        return f"{s.value:.3f}"
+    if abs(high - low) > max(half / 3.0, 0.001) or half > min(s.value, 1.0 - s.value):
+        return f"{s.value:.3f} ({_short(s.low)} .. {_short(s.high)})"
+    return f"{s.value:.3f} ±{_short(half)}"
+
+
+def _short(x: float) -> str:
+    """Three digits, without the zero before the point."""
+    text = f"{x:.3f}"
+    return text[1:] if text.startswith("0.") else text
 
 
 def interval(name: str, e: Estimate) -> str:
@@ -54,7 +66,7 @@ def listed(names: Iterable[str]) -> str:
 
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
     """A table in Markdown; its first `left` columns are aligned left, the others right."""
-    rules = ["---" if i < left else "---:" for i in range(len(head))]
+    rules = ["-" if i < left else "-:" for i in range(len(head))]
     # A `|` would end the cell.
     lines = [[cell.replace("|", "\\|") for cell in row] for row in (head, rules, *rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)

@@ -50,6 +50,7 @@ class Demands(NamedTuple):
     leader_tilt: Percentiles  # deg
     speed: Percentiles  # m/s, of the leader
     acceleration: Percentiles  # m/s^2, of the leader
+    jump: Percentiles  # m, of the followers' slots on the tick on which the trigger fires
 
 
 class Flown(NamedTuple):
@@ -69,6 +70,9 @@ class _Watch:
     def __init__(self, config: FormationConfig) -> None:
         self._config = config
         self._before: tuple[Floats, Floats] | None = None  # velocities and thrust axes
+        self._waiting: tuple[NDArray[np.bool_], Floats] | None = (
+            None  # which worlds wait, and slots
+        )
         self._gathered: dict[str, list[Floats]] = {name: [] for name in Demands._fields}
 
     def __call__(
@@ -76,6 +80,7 @@ class _Watch:
     ) -> None:
         v, axes = simulation.velocities, thrust_axes(simulation.attitudes)
         before, self._before = self._before, (v, axes)
+        self._look_at_start(simulation, stepped)
         counted = stepped & (simulation.clock > 0.0)
         if before is None or not counted.any():
             return
@@ -94,6 +99,16 @@ class _Watch:
         }
         for name, values in tick.items():
             self._gathered[name].append(values.ravel())
+
+    def _look_at_start(self, simulation: Simulation, stepped: NDArray[np.bool_]) -> None:
+        """Note by how much slots jump as the trigger fires."""
+        waits = ~simulation.started
+        if self._waiting is None and not waits.any():
+            return  # those that start in flight
+        was, self._waiting = self._waiting, (waits, simulation.slots.copy())
+        if was is not None and (fired := stepped & was[0] & ~waits).any():
+            jumps = np.linalg.norm((self._waiting[1] - was[1])[fired], axis=-1)
+            self._gathered["jump"].append(jumps.ravel())
 
     def _turn(self, simulation: Simulation, actions: NDArray[np.float32]) -> Floats:
         """The share of the limit of every follower, `(worlds, followers)`: see `ABOUT`."""
@@ -170,9 +185,30 @@ def parts(report: Report, flown: Mapping[str, Flown]) -> list[str]:
         named.setdefault(causes(report.scenarios[name].config), []).append(name)
     told = [
         f"**{', '.join(names)}.** {text} {_motion(report.scenarios[names[0]].config, flown[names[0]])}"
+        f"{_own_choices(report.scenarios[names[0]].config)}"
         for text, names in named.items()
     ]
     return [ABOUT, markdown_table(HEAD, [_row(*item) for item in flown.items()], 2), *told]
+
+
+# What of a scenario the paper does not print.
+_PATHS = "where a path lies and begins, the time limit"
+_OURS = {
+    "nominal": f"the gusts, the start in the air and its offset, {_PATHS}, and the limits of the actuators; "
+    "trajectory (31), formation, vehicle and gains are those of III-C",
+    "paper": "the rate at which the noise is drawn, the trigger's distance and deadline, "
+    f"{_PATHS}, and the limits of the actuators; the rest is that of III-C",
+    "experiment": "the reading of the path (70), the noise of the motion capture, the gusts, the trigger's "
+    f"distance and deadline, {_PATHS}, inertia and limits of the vehicles, and their tracker; the rest is "
+    "that of section IV, and [a page](../experiment.md) says what it comes to",
+    "agile": "all but the formation, the vehicle and the gains, those of III-C",
+    "swarm": "all but the vehicle and the gains, those of III-C",
+}
+
+
+def _own_choices(config: FormationConfig) -> str:
+    found = _OURS.get(config.scenario)
+    return f" Not from the paper: {found}." if found else ""
 
 
 def _row(name: str, flown: Flown) -> list[str]:
@@ -208,7 +244,9 @@ def _measured(config: FormationConfig) -> str:
         noise = {"m": n.position, "m/s": n.velocity, "m/s^2": n.acceleration}
         noise |= {"degrees": n.attitude * 180.0 / pi, "degrees/s": n.angular_velocity * 180.0 / pi}
         shown = ", ".join(f"{x:.3g} {unit}" for unit, x in noise.items() if x > 0.0)
-        text = f"Measurements have white noise of {shown}" if shown else "Measurements are exact"
+        text = "Measurements are exact"
+        if shown:
+            text = f"Measurements have white noise of {shown}, drawn anew {1.0 / period:g} times a second"
     delay = config.measurement_delay * period
     return f"{text}, {delay:g} s late" if delay else text
 
@@ -222,11 +260,14 @@ def _gusts(config: FormationConfig) -> list[str]:
 
 
 def _start(config: FormationConfig) -> list[str]:
+    if config.start != "ground":
+        how = f"up to {config.start_offset:g} m from" if config.start_offset else "at"
+        return [f"followers start {how} their places, in flight"]
     what = (
         f"all start on the floor and have {config.limits.deadline:g} s until every vehicle is within "
         f"{config.trigger:g} m of its place"
     )
-    return [what] if config.start == "ground" else []
+    return [what]
 
 
 def _crowd(config: FormationConfig) -> list[str]:
@@ -245,8 +286,16 @@ def _motion(config: FormationConfig, flown: Flown) -> str:
     if np.isnan(d.speed.median):
         return "No flight got past its start."
     path = ", on another path in every episode," if config.trajectory.random is not None else ""
+    jump = (
+        ""
+        if np.isnan(d.jump.median)
+        else (
+            f" As the formation starts places jump by {d.jump.median:.2f} m (median; 1 % by more than "
+            f"{d.jump.high:.2f} m): from those beside the leader's first point to those beside the leader."
+        )
+    )
     return (
         f"The leader flies{path} at {d.speed.median:.2g} m/s and is accelerated by up to "
         f"{d.acceleration.high:.2g} m/s^2; `{flown.policy}` follows it with up to {d.tilt.high:.2g} "
-        f"degrees of tilt and thrusts of {d.thrust.low:.2f} to {d.thrust.high:.2f} weights."
+        f"degrees of tilt and thrusts of {d.thrust.low:.2f} to {d.thrust.high:.2f} weights.{jump}"
     )

@@ -11,23 +11,24 @@ import numpy as np
 
 from baselines.registry import POLICIES
 from baselines.reporting.pictures import COLOURS, MARKS, RC, TICKS, png, stretch, unstretch
+from baselines.reporting.rows import PAPER, TUNED, laws
 from baselines.scoring.suite import Matrix, performance_profile
 from baselines.system.writing import write_bytes
 
 _THRESHOLDS = unstretch(np.linspace(0.0, float(stretch(np.ones(()))), 161))
 _VERSION = 1  # of the drawing, part of the digest
-_TUNED = "-tuned"
-_NOT_SHOWN = ("hover", "random")
-_COMPARISON = "expert"  # shown among the learned policies too
 
 
 def panels(matrix: Matrix) -> dict[str, list[str]]:
     """The methods of each panel: those that fly every scenario, programmed and learned."""
     whole = [m for m in matrix.method if len(matrix.flown(m)) == len(matrix.scenario)]
-    laws = [m for m in whole if m in POLICIES and m not in _NOT_SHOWN]
+    programmed = laws(whole)
     learned = [m for m in whole if m not in POLICIES]
-    compared = [m for m in laws if m == _COMPARISON]
-    found = {"programmed laws": laws, "learned policies": [*compared, *learned] if learned else []}
+    compared = [m for m in programmed if m == PAPER]  # shown among the learned policies too
+    found = {
+        "programmed laws": programmed,
+        "learned policies": [*compared, *learned] if learned else [],
+    }
     return {title: methods for title, methods in found.items() if methods}
 
 
@@ -62,11 +63,11 @@ def digest(matrix: Matrix) -> str:
 
 
 def _panel(ax: Any, matrix: Matrix, methods: Sequence[str]) -> None:
-    families = list(dict.fromkeys(m.removesuffix(_TUNED) for m in methods))
+    families = list(dict.fromkeys(m.removesuffix(TUNED) for m in methods))
     for method in methods:
-        family = families.index(method.removesuffix(_TUNED))
+        family = families.index(method.removesuffix(TUNED))
         colour, mark = COLOURS[family % len(COLOURS)], MARKS[family % len(MARKS)]
-        tuned = method.endswith(_TUNED)
+        tuned = method.endswith(TUNED)
         profile = performance_profile(matrix, method, _THRESHOLDS)
         ax.fill_between(
             _THRESHOLDS, profile.low, profile.high, color=colour, alpha=0.15, linewidth=0

@@ -12,10 +12,12 @@ The JSON document, `results.json` (no NaN: a figure that no episode has is null)
          "policies": {name: {
              "metrics": {name: estimate},
              "differences": {policy: {"score": estimate, "slot_error": estimate}},
-             "failures": {kind: episodes of the median run},
+             "failures": {kind: episodes of all runs together},
              "runs": {name: its mean score}, "median": name of the median run}},
          "files": {policy: {"file": name, "method": word, "scenario": trained on, "action": level,
-                           "differs": whether it flies another task than it was trained for}},
+                           "differs": whether it flies another task than it was trained for,
+                           "teacher": the policy that it is a clone of or "", "history": observations seen,
+                           "hidden": [widths of the hidden layers]}},
          "absent": {policy: why it does not fly here}}}}
 
 with `estimate = [value, low, high, episodes]`: the mean over so many episodes (of `settling_time` the median)
@@ -149,11 +151,24 @@ def files_table(report: Report) -> str:
         [
             *(f"`{x}`" for x in (policy, source.file, source.method)),
             *(f"`{x}`" for x in (source.scenario, source.action)),
+            f"`{source.teacher}`" if source.teacher else "-",
+            str(source.history),
+            " ".join(map(str, source.hidden)) or "-",
             listed(names),
         ]
         for (policy, source), names in flights.items()
     ]
-    head = ["policy", "file", "method", "trained on", "at level", "flown on"]
+    head = [
+        "policy",
+        "file",
+        "method",
+        "trained on",
+        "at level",
+        "teacher",
+        "observations",
+        "hidden",
+    ]
+    head.append("flown on")
     return markdown_table(head, rows, len(head)) if flights else ""
 
 
@@ -199,7 +214,7 @@ def _heading(name: str) -> str:
 def _telling(scenario: Scenario) -> str:
     """The most telling metrics, kinds of failures, and the differences to other policies."""
     others = next(iter(scenario.results.values())).differences if scenario.results else {}
-    head = ["policy", *map(_heading, _TELLING), "failures"]
+    head = ["policy", *map(_heading, _TELLING), "failures, all runs"]
     head += [f"score minus `{name}`'s" for name in others]
     rows = [
         [

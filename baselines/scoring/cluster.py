@@ -129,13 +129,19 @@ def _line(text: object) -> str:
 # -- flying ---------------------------------------------------------------------------------------
 
 
-def _fly(config: FormationConfig, recipe: Recipe, seeds: range, version: str) -> Episodes:
+def _fly(
+    config: FormationConfig,
+    recipe: Recipe,
+    seeds: range,
+    world: FormationConfig | None,
+    version: str,
+) -> Episodes:
     """A worker's part. Raises `RuntimeError` where it has another version of this package."""
     if formation_env.__version__ != version:
         raise RuntimeError(
             f"{platform.node()} has formation-env {formation_env.__version__}, expected {version}"
         )
-    return fly(recipe.make(config), seeds)
+    return fly(recipe.make(config), seeds, world=world)
 
 
 def fly_all(ray: Any, flights: Sequence[Flight], progress: Callable[[int], None]) -> list[Episodes]:
@@ -150,13 +156,10 @@ def fly_all(ray: Any, flights: Sequence[Flight], progress: Callable[[int], None]
     each = {id(f.recipe): f.recipe for f in flights}
     recipes = {key: ray.put(recipe) for key, recipe in each.items()}
     references = [
-        task.remote(f.config, recipes[id(f.recipe)], f.seeds, formation_env.__version__)
+        task.remote(f.config, recipes[id(f.recipe)], f.seeds, f.world, formation_env.__version__)
         for f in flights
     ]
-    ticks = {
-        reference: f.config.max_steps * len(f.seeds)
-        for reference, f in zip(references, flights, strict=True)
-    }
+    ticks = {reference: f.ticks for reference, f in zip(references, flights, strict=True)}
     waiting = references
     try:
         while waiting:

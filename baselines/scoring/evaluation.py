@@ -2,32 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from baselines.files import Card, load
 from baselines.own import PolicyError
 from baselines.policies.base import Policy
 from baselines.policies.learned import Misfit
 from baselines.policies.transfer import differences, transfer_unwarned
-from baselines.registry import POLICIES, Recipe, Unshipped
+from baselines.registry import POLICIES, Recipe, Unshipped, shipped_file
 from baselines.scoring.results import REFERENCES, Report, Scenario, Source, judge
 from baselines.scoring.rollout import Episodes, chunks, fly
-from baselines.scoring.runs import make_row, rows_of, run_names
+from baselines.scoring.runs import make_row, rows_of, run_names, teacher_of
 from baselines.system.progress import Bar, compiling
 from formation_env import FormationConfig
 
 EPISODES = 100
 
+Key = TypeVar("Key", bound=Hashable)
+
 
 class Flight(NamedTuple):
     """One policy in the worlds of some consecutive seeds."""
 
-    config: FormationConfig
+    config: FormationConfig  # that the policy is made for
     recipe: Recipe
     seeds: range
+    world: FormationConfig | None = None  # that is flown, if it is another one
+
+    @property
+    def flown(self) -> FormationConfig:
+        """The configuration of the worlds."""
+        return self.world or self.config
+
+    @property
+    def ticks(self) -> int:
+        """Of all its worlds."""
+        return self.flown.max_steps * len(self.seeds)
 
 
 # Flies flights, in any order, and returns their episodes in the order given; calls the function with the
@@ -101,20 +116,17 @@ def evaluate(
             flyable = find_flyable(configs, policies)
             if executor is None:
                 warm(configs, flyable)
-    jobs = [
-        (name, row, run, seeds)
+    seeds = range(seed, seed + episodes)
+    flights = {
+        (name, row, run): Flight(config, flyable[name].recipes[row][run], seeds)
         for name, config in configs.items()
         for row, run in run_names(flyable[name].recipes)
-        for seeds in chunks(seed, episodes, config.followers)
-    ]
-    flights = [
-        Flight(configs[name], flyable[name].recipes[row][run], seeds)
-        for name, row, run, seeds in jobs
-    ]
-    columns = _collect(jobs, _fly_all(flights, threads, quiet, executor))
+    }
+    columns: dict[str, dict[str, dict[str, Episodes]]] = {name: {} for name in configs}
+    for (name, row, run), flown in fly_all(flights, threads, quiet, executor).items():
+        columns[name].setdefault(row, {})[run] = flown
     scenarios = {
-        name: _scenario(config, flyable[name], columns.get(name, {}))
-        for name, config in configs.items()
+        name: _scenario(config, flyable[name], columns[name]) for name, config in configs.items()
     }
     return Report(seed, episodes, scenarios)
 
@@ -142,31 +154,62 @@ def warm(configs: Mapping[str, FormationConfig], flyable: Mapping[str, Flyable])
 
 def _sources(flyable: Flyable, config: FormationConfig) -> dict[str, Source]:
     """Where the rows come from whose runs are policy files, by the row."""
-    first = {row: next(iter(runs.values())) for row, runs in flyable.recipes.items()}
-    return {
-        row: Source(
-            made.file,
-            made.card.method,
-            made.card.scenario,
-            made.card.action,
-            bool(differences(made.card, config)),
+    found = {}
+    for row, runs in flyable.recipes.items():
+        first, cards = next(iter(runs.values())), [made.card for made in runs.values()]
+        card = first.card
+        if card is None:
+            continue
+        path = shipped_file(card.method, card.scenario, card.action)
+        ships = path.is_file() and any(_same_run(load(path)[0], each) for each in cards)
+        found[row] = Source(
+            path.name if ships else first.file,
+            card.method,
+            card.scenario,
+            card.action,
+            bool(differences(card, config)),
+            teacher_of(card),
+            card.history,
+            first.hidden,
         )
-        for row, made in first.items()
-        if made.card is not None
-    }
+    return found
 
 
-def _fly_all(
-    flights: Sequence[Flight], threads: int, quiet: bool, executor: Executor | None
-) -> list[Episodes]:
-    """The episodes of every flight, with a progress bar."""
-    bar = Bar(sum(f.config.max_steps * len(f.seeds) for f in flights), "flying", quiet)
+def _same_run(card: Card, other: Card | None) -> bool:
+    """Whether two cards are of one training run; scores may have been written into one of them since."""
+    return other is not None and replace(card, score=other.score) == other
+
+
+def fly_all(
+    flights: Mapping[Key, Flight],
+    threads: int,
+    quiet: bool,
+    executor: Executor | None = None,
+    title: str = "flying",
+) -> dict[Key, Episodes]:
+    """The episodes of every flight, in the order of their seeds, with a progress bar of that title.
+
+    What flies a flight takes groups of its worlds, by `executor` or else on so many threads of this process.
+    Raises `PolicyError` where a user's own policy fails, and what the executor raises.
+    """
+    groups = [
+        (key, flight._replace(seeds=seeds))
+        for key, flight in flights.items()
+        for seeds in chunks(flight.seeds.start, len(flight.seeds), flight.flown.followers)
+    ]
+    each = [flight for _, flight in groups]
+    bar = Bar(sum(flight.ticks for flight in each), title, quiet)
     try:
-        if executor is None:
-            return _fly_here(flights, threads, bar)
-        return executor(flights, bar.advance)
+        parts = _fly_here(each, threads, bar) if executor is None else executor(each, bar.advance)
     finally:
         bar.close()
+    grouped: dict[Key, list[Episodes]] = {}
+    for (key, _), part in zip(groups, parts, strict=True):
+        grouped.setdefault(key, []).append(part)
+    return {
+        key: {name: np.concatenate([x[name] for x in group]) for name in group[0]}
+        for key, group in grouped.items()
+    }
 
 
 def _fly_here(flights: Sequence[Flight], threads: int, bar: Bar) -> list[Episodes]:
@@ -193,23 +236,9 @@ def _fly_here(flights: Sequence[Flight], threads: int, bar: Bar) -> list[Episode
 def _fly(policy: Policy, flight: Flight, bar: Bar) -> Episodes:
     """One flight. Raises `PolicyError` where a user's own policy fails."""
     try:
-        return fly(policy, flight.seeds, bar.advance)
+        return fly(policy, flight.seeds, bar.advance, world=flight.world)
     except Exception as problem:
         if not flight.recipe.own or bar.stopped:
             raise
         text = " ".join(f"{type(problem).__name__}: {problem}".split())
         raise PolicyError(f"policy {flight.recipe.own}: {text[:400]}") from problem
-
-
-def _collect(
-    jobs: list[tuple[str, str, str, range]], parts: Iterable[Episodes]
-) -> dict[str, dict[str, dict[str, Episodes]]]:
-    """By scenario, row and run: the groups put together again, in the order of their seeds."""
-    grouped: dict[tuple[str, str, str], list[Episodes]] = {}
-    for (name, row, run, _), part in zip(jobs, parts, strict=True):
-        grouped.setdefault((name, row, run), []).append(part)
-    found: dict[str, dict[str, dict[str, Episodes]]] = {}
-    for (name, row, run), group in grouped.items():
-        whole = {k: np.concatenate([x[k] for x in group]) for k in group[0]}
-        found.setdefault(name, {}).setdefault(row, {})[run] = whole
-    return found

@@ -12,11 +12,12 @@ from baselines.scoring.metrics import KINDS
 from baselines.scoring.rollout import Episodes
 from baselines.system.console import width
 from baselines.system.text import table, wrapped
-from formation_env import FormationConfig
+from formation_env import SCENARIOS, FormationConfig, configure
 
 # The policies that others are compared with, episode by episode, where these fly, and in which metrics.
 REFERENCES = ("expert", "expert-tuned", "ff")
 COMPARED = ("score", "slot_error")
+NO_LAWS = ("hover", "random")  # programmed, but no control laws: nothing is wanted of them
 ELSEWHERE = "*"  # marks the score of a policy file on a task that it was not trained for
 WIDEST = 78  # columns of the tables
 
@@ -29,7 +30,7 @@ class Result(NamedTuple):
 
     summary: dict[str, Estimate]  # by the names of `metrics.EPISODE`
     differences: dict[str, dict[str, Estimate]]  # to one of `REFERENCES`: of the metrics `COMPARED`
-    failures: dict[str, int]  # episodes of the median run by kind of failure
+    failures: dict[str, int]  # episodes of all runs together by kind of failure
     median: str  # name of the run whose score is the median
     runs: dict[str, Episodes]  # columns of `metrics.EPISODE` and `failure`, by the run's name
 
@@ -43,15 +44,23 @@ class Result(NamedTuple):
         """Mean score of each run."""
         return {name: float(columns["score"].mean()) for name, columns in self.runs.items()}
 
+    @property
+    def failed(self) -> float:
+        """The share of the episodes of all runs together that have failed."""
+        return float(np.mean([columns["failed"] for columns in self.runs.values()]))
+
 
 class Source(NamedTuple):
     """The file that a policy was flown from; of several runs the first one's."""
 
-    file: str  # name without the folder
+    file: str  # name without the folder; that of the file which ships, if it is one of the runs
     method: str
     scenario: str  # trained on
     action: str  # at this level
     differs: bool  # whether the task flown is another one than it was trained for
+    teacher: str = ""  # the policy that was cloned, if any
+    history: int = 1  # observations that the network sees
+    hidden: tuple[int, ...] = ()  # widths of its hidden layers
 
 
 class Scenario(NamedTuple):
@@ -85,9 +94,19 @@ class Report(NamedTuple):
         """The policies that have flown at least one scenario."""
         return list(dict.fromkeys(p for s in self.scenarios.values() for p in s.results))
 
+    @property
+    def native(self) -> tuple[str, ...]:
+        """The scenarios at their own action level; all that have been flown, where there is none of them."""
+        own = (n for n, s in self.scenarios.items() if n in SCENARIOS and _own_level(n, s.config))
+        return tuple(own) or tuple(self.scenarios)
+
     def __str__(self) -> str:
         """What the command prints."""
         return summary(self)
+
+
+def _own_level(name: str, config: FormationConfig) -> bool:
+    return config.scenario == name and config.action == configure(name).action
 
 
 def judge(runs: Mapping[str, Episodes], references: Mapping[str, Episodes]) -> Result:
@@ -95,7 +114,8 @@ def judge(runs: Mapping[str, Episodes], references: Mapping[str, Episodes]) -> R
     compared with."""
     columns = list(runs.values())
     median = list(runs)[median_run(stacked(columns, "score"))]
-    kinds = np.bincount(runs[median]["failure"].astype(np.int64), minlength=len(KINDS))
+    failures = stacked(columns, "failure").astype(np.int64)
+    kinds = np.bincount(failures.ravel(), minlength=len(KINDS))
     return Result(
         summarise(columns),
         {

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from baselines.policies.base import Policy
 from baselines.scoring.metrics import add_tick, begin, episodes, window_ticks
+from formation_env import FormationConfig
 from formation_env.core.simulation import Simulation, seeded_key
 
 Episodes = dict[str, NDArray[np.float64]]
@@ -49,18 +50,20 @@ def fly(
     most: int | None = None,
     watch: Watch | None = None,
     times: int = 1,
+    world: FormationConfig | None = None,
 ) -> Episodes:
     """One episode for each of the consecutive `seeds`; the columns are `metrics.EPISODE`.
 
     The seeds are flown `times` times over, in worlds of their own: for policies that differ from world to
     world. `most` ends them after so many ticks, for a first use that only compiles. `progress` is called
     after every tick with the number of worlds, whose ticks have been done; what it raises stops the flight.
-    `watch` sees every tick that has been flown.
+    `watch` sees every tick that has been flown. `world` is what is flown and scored, by default the policy's
+    own configuration: another one is a world that the policy has not been told of.
     """
-    config, worlds = policy.config, times * len(seeds)
+    config, worlds = world or policy.config, times * len(seeds)
     simulation = Simulation(config, worlds)
-    for world, seed in enumerate(times * list(seeds)):
-        simulation.seed(world, seeded_key(seed))
+    for i, seed in enumerate(times * list(seeds)):
+        simulation.seed(i, seeded_key(seed))
     policy.reset(seed=seeds.start, worlds=worlds)
     results = simulation.reset()
     tally, window = begin(simulation.started), window_ticks(config)

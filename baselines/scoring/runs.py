@@ -10,16 +10,19 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, final
 
 from baselines import files
-from baselines.files import SUFFIX
+from baselines.files import SUFFIX, Card
 from baselines.policies.learned import Misfit
 from baselines.registry import METHODS, USUAL, Recipe, Unshipped, recipe
 from formation_env import FormationConfig
 
 BEST = "best.safetensors"  # the policy of a training run's folder
+_IMITATION = "train-imitate"  # is in the name of the command that clones
+USUAL_TEACHER = "expert"  # of that command where it names none
 _MEMBER = re.compile(r"(.+)#(\d+)")
 
 Task = tuple[str, str]  # scenario and action level
@@ -115,6 +118,18 @@ def rows_of(policies: Mapping[str, Any]) -> dict[str, Any]:
         else:
             rows[row] = source
     return rows
+
+
+def teacher_of(card: Card) -> str:
+    """The policy that a policy file is a clone of, by the command that trained it; empty if it is none.
+
+    A clone that was trained on by another method, as `dagger-ppo`, starts from a file and has no teacher.
+    """
+    words = card.command.replace("=", " ").split()
+    if not words or _IMITATION not in words[0]:
+        return ""
+    named = [later for word, later in pairwise(words) if word == "--teacher"]
+    return named[-1] if named else USUAL_TEACHER
 
 
 def make_row(name: str, source: Any, config: FormationConfig) -> dict[str, Recipe]:

@@ -5,7 +5,8 @@ without pickled objects, `read` reads it. The statistics are those that R. Agarw
 Learning at the Edge of the Statistical Precipice* (NeurIPS 2021), propose for few training runs: the
 interquartile mean over runs and scenarios, the probability of improvement and performance profiles, with
 bootstrap intervals whose strata are the scenarios. Within a scenario runs and episodes are drawn as
-`intervals` does. All scenarios count alike, and so do all runs of a method on one scenario.
+`intervals` does; the scenarios are held fixed, so an interval says nothing of other ones. All scenarios count
+alike, and so do all runs of a method on one scenario.
 """
 
 from __future__ import annotations
@@ -59,6 +60,15 @@ class Matrix(NamedTuple):
         return tuple(
             name for name in self.scenario if all(len(self.runs(m, name)) > 0 for m in methods)
         )
+
+
+def over(m: Matrix, scenarios: Sequence[str]) -> Matrix:
+    """The matrix of some of its scenarios, in their order, and of the methods that have flown one of them."""
+    places = [m.scenario.index(name) for name in scenarios]
+    kept = [i for i, name in enumerate(m.method) if set(m.flown(name)) & set(scenarios)]
+    figures = {name: x[kept][:, :, places] for name, x in m.figures.items()}
+    method = tuple(m.method[i] for i in kept)
+    return m._replace(method=method, scenario=tuple(scenarios), figures=figures)
 
 
 # -- the raw figures ------------------------------------------------------------------------------
