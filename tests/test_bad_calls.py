@@ -276,6 +276,6 @@ def test_a_trajectory_too_short_is_refused() -> None:
     samples = trajectories.figure_eight()
     short = type(samples)(samples.name, samples.kind, samples.table, duration=5.0)
     with pytest.raises(
-        ValueError, match=r"duration = 26\.0: expected at most the trajectory's 5 s"
+        ValueError, match=r"duration = 30\.0: expected at most the trajectory's 5 s"
     ):
         configure(trajectory=short)

@@ -217,6 +217,7 @@ def test_what_is_told_of_inversions_is_what_episodes_fly(path: str) -> None:
     """This follower moves forwards from the first point of the path on, and backwards from most others."""
     curve, d = begun(trajectories.figure_eight(), 14.0), (1.0, 0.2, -0.3)
     options = {"trajectory": curve, "offsets": (d,), "path": path, "start_offset": 0.0}
+    options["duration"] = 26.0  # as given it would invert later
     simulation = started(40, **options, **CALM, limits={"lost": 1e3, "collision": 1e-3})
     (report,) = simulation.config.feasibility()
     backwards = (slowest_slots(simulation, 1000) < 0.0).mean()

@@ -97,7 +97,7 @@ def test_on_a_circle_every_start_is_the_same(side: float) -> None:
 def told(**options: Any) -> tuple[FormationConfig, str]:
     """A configuration and what it has warned of."""
     with pytest.warns(FeasibilityWarning) as caught:
-        config = configure(start_offset=0.0, **options)
+        config = configure(start_offset=0.0, duration=26.0, **options)
     (one_,) = caught
     return config, str(one_.message)
 

@@ -64,7 +64,7 @@ def test_the_bounds_are_the_observations() -> None:
     [
         (
             {"trajectory": line((1.0, 0.0), start=(2e4, 0.0))},
-            r"trajectory = 'line' with a position.* of 20026\.\d m .*at most 10000 m.*move the origin",
+            r"trajectory = 'line' with a position.* of 20030\.\d m .*at most 10000 m.*move the origin",
         ),
         (
             {"trajectory": line((20.0, 0.0)), "duration": 600.0},

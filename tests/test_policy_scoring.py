@@ -45,6 +45,9 @@ def test_a_file_is_scored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
             "scenario": "nominal",
             "action": "wrench",
             "differs": False,
+            "teacher": "",
+            "history": 2,
+            "hidden": [37, 51],
         }
     }
     assert document["swarm"]["files"][str(path)]["differs"]
@@ -53,7 +56,7 @@ def test_a_file_is_scored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     text = (tmp_path / "1" / "results.md").read_text(encoding="utf-8")
     grid = next(line for line in text.splitlines() if line.startswith(f"| `{path}`"))
     assert grid.endswith("| - |") and grid.count("-") >= 1
-    where = "| `my policy.safetensors` | `ppo` | `nominal` | `wrench` | `nominal`, `swarm` |"
+    where = "| `my policy.safetensors` | `ppo` | `nominal` | `wrench` | - | 2 | 37 51 | `nominal`, `swarm` |"
     assert f"| `{path}` {where}" in text
     assert f"Not flown on `experiment`: `{path}` (" in text
     assert "* trained for another task" in capsys.readouterr().out

@@ -32,7 +32,7 @@ def test_json_keeps_its_layout(short_report: Report) -> None:
     assert set(document["metrics"]["effort"]) == {"unit", "better", "meaning"}
     swarm = document["scenarios"]["swarm"]
     assert (swarm["action"], swarm["followers"], swarm["duration"]) == ("wrench", 16, SHORT)
-    assert swarm["window"] == SHORT
+    assert swarm["window"] == round(SHORT * 5 / 6 / 0.02) * 0.02
     random = swarm["policies"]["random"]
     assert set(random) == {"metrics", "differences", "failures", "runs", "median"}
     assert list(random["metrics"]) == list(EPISODE)

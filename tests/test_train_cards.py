@@ -170,7 +170,7 @@ def test_a_run_becomes_a_policy_a_curve_and_a_page(
     run = a_run(tmp_path / "run")
     assert cards._ship([run], None, checkout, 1, episodes=2) == 0
     _, result = shipping.scored([shipping.open_run(run)], 2, 1)
-    assert f"score {result.score.value:.3f} (" in capsys.readouterr().out
+    assert f"score {result.score.value:.3f} of " in capsys.readouterr().out
     assert main(checkout, "--curve", run, "--method", "rllib-ppo") == 0
     made, network = files.load(checkout / "baselines/policies/ppo-nominal-wrench.safetensors")
     assert made.score["nominal"] == pytest.approx(result.score[:3], abs=1e-5)

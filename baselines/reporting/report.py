@@ -41,8 +41,8 @@ from baselines.scoring.results import Report, Result, Scenario, Source
 from formation_env import FormationConfig
 
 SCORE = (
-    "The score is the mean of the followers' reward over the last 25 s of an episode, before which the "
-    "formation has to start; what is missing of it, crashed or not started, counts zero: 0 to 1, 1 is exact."
+    "The score is the followers' mean reward over the last 25 s of an episode; what is missing of it, "
+    "crashed or not started, counts zero: 0 to 1, 1 is exact."
 )
 
 # -- JSON -----------------------------------------------------------------------------------------
