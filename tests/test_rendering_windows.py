@@ -139,7 +139,7 @@ for make in (single, formation_v0.parallel_env, formation_v0.env):
 
 @pytest.mark.parametrize("driver", [None, "x11", "nonsense"])
 def test_without_a_display_the_mode_that_needs_none_is_named(driver: str | None) -> None:
-    """On every face; also where SDL would draw a window that nobody can see."""
+    """On every face; also where SDL would draw into a window that is not shown."""
     said = run_python(NO_DISPLAY, **({} if driver is None else {"SDL_VIDEODRIVER": driver}))
     errors = [line for line in said.splitlines() if line.startswith("RuntimeError")]
     assert len(errors) == 6

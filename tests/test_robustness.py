@@ -1,4 +1,4 @@
-"""Tasks under changes: what is changed and who is told, which cells say nothing, and the means of a board."""
+"""Tasks under changes: what is changed, what policies are told, void cells, and the means of a board."""
 
 from __future__ import annotations
 
@@ -237,3 +237,10 @@ def test_the_page_holds_every_cell() -> None:
     assert "`y`" not in text.split("## b")[1].split("`y` does")[0]
     assert "| `late` | later | no |" in text and "| `wide` | wider | yes |" in text
     assert text.endswith("`y` does not take a change: cannot.")
+    assert "`margin`" not in text
+
+
+def test_the_page_names_what_searches_and_training_have_met() -> None:
+    late, *others = made().changes
+    text = "\n".join(page.parts(made()._replace(changes=(late._replace(margin=True), *others))))
+    assert "*late*: where a task's sensors are exact, gains are searched with these" in text

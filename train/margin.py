@@ -9,16 +9,14 @@ from __future__ import annotations
 
 from typing import Any
 
+from baselines.scoring import changes as tested
 from formation_env import FormationConfig, configure
 from formation_env.config import NO_NOISE
-from formation_env.physics.sensors import Noise
 from formation_env.validation.plain_form import plain
 
-# Of a motion capture and a gyroscope that are good. m, m/s, m/s^2, rad, rad/s.
-NOISE = Noise(
-    position=0.002, velocity=0.005, acceleration=0.01, attitude=0.001, angular_velocity=0.01
-)
-DELAY = 1  # samples
+# What the board's robustness is tested with, and accelerations of 0.01 m/s^2.
+NOISE = tested.NOISE._replace(acceleration=0.01)
+DELAY = tested.LATER  # samples
 _FIELDS = ("measurement_delay", "noise")
 
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import shlex
 from collections.abc import Mapping
-from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +12,7 @@ from baselines.policies.tuned import FEEDFORWARDS, GAINS
 from baselines.reporting.cells import listed
 from baselines.reporting.rows import PAPER, TUNED
 from baselines.scoring.results import Report
+from baselines.scoring.runs import options_of
 from baselines.system.reading import read_text
 
 
@@ -46,8 +45,7 @@ def _read(path: Path) -> dict[tuple[str, str], Budget]:
 
 def budget_of(command: str) -> Budget:
     """The budget of the search that a command line repeats."""
-    words = shlex.split(command.replace("=", " "))
-    given = dict(pairwise(words))
+    _, given = options_of(command)
     usual = Budget()
     return Budget(
         int(given.get("--evaluations", usual.candidates)),

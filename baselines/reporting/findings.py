@@ -179,7 +179,7 @@ def _learned(report: Report) -> str:
 
 
 def _teachers(own: Sequence[tuple[Scenario, str, str]]) -> str:
-    """Whom each method that imitates has cloned: its most frequent teacher, then others with their tasks."""
+    """The teachers of each method that imitates: the most frequent one, then others with their tasks."""
     cloned: dict[str, dict[str, list[str]]] = {}
     for s, name, policy in own:
         teacher = s.sources[policy].teacher

@@ -84,11 +84,13 @@ def _ceiling(
 ) -> Ceiling | None:
     """Of the scenario whose best score is the lowest, on the first of the report's episodes."""
     name = hardest(report)
-    if name is None or not laws(report.scenarios[name].results):
+    if name is None:
         return None
     scenario = report.scenarios[name]
-    seeds = range(report.seed, report.seed + min(EPISODES, report.episodes))
     rivals = laws(scenario.results)
+    if not rivals:
+        return None
+    seeds = range(report.seed, report.seed + min(EPISODES, report.episodes))
     flights = {
         (words, law): Flight(
             config, flyable[name].recipes[law][scenario.results[law].median], seeds
@@ -96,12 +98,9 @@ def _ceiling(
         for words, config in relieved(scenario.config).items()
         for law in rivals
     }
-    scores = {
-        (PLAIN, law): float(
-            next(iter(scenario.results[law].runs.values()))["score"][: len(seeds)].mean()
-        )
-        for law in rivals
-    }
+    rows = [scenario.results[law] for law in rivals]
+    plain = (float(row.runs[row.median]["score"][: len(seeds)].mean()) for row in rows)
+    scores = {(PLAIN, law): score for law, score in zip(rivals, plain, strict=True)}
     flown = fly_all(flights, threads, quiet, title="flying without limits")
     scores |= {key: float(np.mean(columns["score"])) for key, columns in flown.items()}
     best: dict[str, tuple[str, float]] = {}

@@ -167,8 +167,8 @@ def files_table(report: Report) -> str:
         "teacher",
         "observations",
         "hidden",
+        "flown on",
     ]
-    head.append("flown on")
     return markdown_table(head, rows, len(head)) if flights else ""
 
 

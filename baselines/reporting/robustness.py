@@ -46,7 +46,7 @@ def meanings(found: Robustness) -> str:
 
 
 def gaps(found: Robustness) -> list[str]:
-    """Which cells are left out for everybody, and why: changes and tasks that share a reason together."""
+    """Cells that are left out of every row, and why: changes and tasks that share a reason together."""
     reasons: dict[str, list[str]] = {}
     for (task, change), reason in found.void.items():
         reasons.setdefault(reason, []).append(f"*{change}* on `{task}`")
@@ -63,6 +63,7 @@ def parts(found: Robustness) -> list[str]:
         "A change that is told makes the policy anew, for the changed task: it is of what is wanted. Of the "
         "others it knows nothing: they are of the vehicles, the leader's as well, and of what is measured. "
         "Cells are the score and the episodes that failed.",
+        *_margin(found),
     ]
     for task in found.tasks:
         rows = [
@@ -77,6 +78,16 @@ def parts(found: Robustness) -> list[str]:
     return told + [
         f"`{policy}` does not take a change: {reason}." for policy, reason in sorted(refused)
     ]
+
+
+def _margin(found: Robustness) -> list[str]:
+    """Which changes were met in a search or in training."""
+    names = [f"*{change.name}*" for change in found.changes if change.margin]
+    text = (
+        f"{' and '.join(names)}: where a task's sensors are exact, gains are searched with these, and policy "
+        "files whose card says `margin` were trained with them."
+    )
+    return [text] if names else []
 
 
 def _cells(found: Robustness, policy: str, task: str) -> list[str]:

@@ -29,6 +29,8 @@ class Change(NamedTuple):
     meaning: str
     changed: Callable[[FormationConfig], FormationConfig]  # raises `ValueError` where it cannot be
     told: bool  # whether the policy is made for the changed configuration
+    # Whether gains are searched and networks trained with it where sensors are exact: `train.margin`.
+    margin: bool = False
 
 
 # -- of the world, not told -----------------------------------------------------------------------
@@ -74,13 +76,14 @@ def _longer(config: FormationConfig) -> FormationConfig:
 
 
 CHANGES = (
-    Change(f"{LATER} sample late", f"measurements {LATER} sample later", _later, False),
+    Change(f"{LATER} sample late", f"measurements {LATER} sample later", _later, False, True),
     Change(
         "noise",
         f"white noise of {1e3 * NOISE.position:g} mm, {1e3 * NOISE.velocity:g} mm/s, "
         f"{1e3 * NOISE.attitude:g} mrad and {NOISE.angular_velocity:g} rad/s added to what is measured",
         _noisier,
         False,
+        True,
     ),
     Change(
         f"mass x {HEAVIER:g}",

@@ -7,8 +7,6 @@ from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 
-import numpy as np
-
 from baselines.files import Card, load
 from baselines.own import PolicyError
 from baselines.policies.base import Policy
@@ -16,7 +14,7 @@ from baselines.policies.learned import Misfit
 from baselines.policies.transfer import differences, transfer_unwarned
 from baselines.registry import POLICIES, Recipe, Unshipped, shipped_file
 from baselines.scoring.results import REFERENCES, Report, Scenario, Source, judge
-from baselines.scoring.rollout import Episodes, chunks, fly
+from baselines.scoring.rollout import Episodes, chunks, fly, joined
 from baselines.scoring.runs import make_row, rows_of, run_names, teacher_of
 from baselines.system.progress import Bar, compiling
 from formation_env import FormationConfig
@@ -206,10 +204,7 @@ def fly_all(
     grouped: dict[Key, list[Episodes]] = {}
     for (key, _), part in zip(groups, parts, strict=True):
         grouped.setdefault(key, []).append(part)
-    return {
-        key: {name: np.concatenate([x[name] for x in group]) for name in group[0]}
-        for key, group in grouped.items()
-    }
+    return {key: joined(group) for key, group in grouped.items()}
 
 
 def _fly_here(flights: Sequence[Flight], threads: int, bar: Bar) -> list[Episodes]:

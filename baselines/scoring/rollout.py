@@ -7,7 +7,7 @@ grow with the length of an episode.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -40,6 +40,11 @@ def fly_all(policy: Policy, seeds: range) -> Episodes:
     parts = [
         fly(policy, group) for group in chunks(seeds.start, len(seeds), policy.config.followers)
     ]
+    return joined(parts)
+
+
+def joined(parts: Sequence[Episodes]) -> Episodes:
+    """The episodes of several flights as those of one, in order."""
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 

@@ -125,11 +125,14 @@ def teacher_of(card: Card) -> str:
 
     A clone that was trained on by another method, as `dagger-ppo`, starts from a file and has no teacher.
     """
-    words = card.command.replace("=", " ").split()
-    if not words or _IMITATION not in words[0]:
-        return ""
-    named = [later for word, later in pairwise(words) if word == "--teacher"]
-    return named[-1] if named else USUAL_TEACHER
+    script, given = options_of(card.command)
+    return given.get("--teacher", USUAL_TEACHER) if _IMITATION in script else ""
+
+
+def options_of(command: str) -> tuple[str, dict[str, str]]:
+    """The script of a command line, and what follows each of its words, for options that take a value."""
+    words = command.replace("=", " ").split()
+    return words[0] if words else "", dict(pairwise(words))
 
 
 def make_row(name: str, source: Any, config: FormationConfig) -> dict[str, Recipe]:
