@@ -71,7 +71,7 @@ def test_every_coordinate_moves_something(action: str) -> None:
 
 
 @pytest.mark.parametrize("action", ["wrench", "rates", "reference"])
-@pytest.mark.parametrize("law", ["ff", "lee", "lqr"])
+@pytest.mark.parametrize("law", textbook_tuned.LAWS)
 def test_every_point_of_a_textbook_laws_space_flies(law: str, action: str) -> None:
     """Corners included: gains are checked where a policy is made of them, weights have a regulator. The
     origin is the plain gains, and every coordinate moves one gain alone."""
@@ -222,7 +222,7 @@ def test_a_textbook_law_is_tuned_by_the_same_search(
     ("words", "message"),
     [
         (["--scenario", "moon"], "scenario = 'moon': expected one of"),
-        (["--policy", "pid"], "policy = 'pid': expected one of expert, ff, lee, lqr"),
+        (["--policy", "pid"], "policy = 'pid': expected one of expert, ff, ff-filter, lee, lqr"),
         (["--action", "yaw"], "action = 'yaw': expected one of"),
         (["--feedforward", "some"], "feedforward = 'some': expected one of both"),
         (["--episodes", "0"], "episodes = 0: expected an integer"),
@@ -316,6 +316,18 @@ def test_candidates_together_score_as_each_alone(
         monkeypatch.setattr(scores, "VEHICLES", vehicles)
         with ThreadPoolExecutor(threads) as pool:
             assert mean_scores(tunable, config, gains, seeds, pool) == alone
+
+
+def test_filters_together_wait_for_the_trigger_as_each_alone() -> None:
+    """Every metric of every episode, to the last bit; some of the filters are longer than others."""
+    config, seeds = configure("paper", duration=4.0, trigger=2.3), range(3)
+    gains = candidates("ff-filter", config, 4)
+    together = rollout.fly(textbook_tuned.Stacked("ff-filter", config, gains, 3), seeds, times=4)
+    assert (together["trigger_time"] < 2.0).sum() >= 9 and len(set(together["smoothness"])) == 12
+    for i, one in enumerate(gains):
+        alone = rollout.fly(textbook_tuned.FfFilterTuned(config, one), seeds)
+        for name, column in alone.items():
+            assert np.array_equal(together[name][3 * i : 3 * i + 3], column, equal_nan=True), name
 
 
 def test_one_that_overflows_does_not_spoil_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
