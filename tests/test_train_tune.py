@@ -184,6 +184,9 @@ def test_a_small_search_improves_detuned_gains(
     assert main([*words, "--resume"]) == 0
     whole = json.loads((tmp_path / "a" / "nominal-wrench.json").read_text())
     assert whole["margin"] == {name: margin[name] for name in ("measurement_delay", "noise")}
+    flown = with_margin(options.configure("nominal"))
+    own_score = mean_score(tuned.ExpertTuned(flown, own(flown)), range(100_000, 100_004))
+    assert whole["values"]["zero"][0] == pytest.approx(own_score, rel=1e-9)
     again = json.loads((tmp_path / "b" / "nominal-wrench.json").read_text())
     assert again["values"] == whole["values"]
     assert read(other) == read(gains)
@@ -321,7 +324,8 @@ def test_candidates_together_score_as_each_alone(
 def test_filters_together_wait_for_the_trigger_as_each_alone() -> None:
     """Every metric of every episode, to the last bit; some of the filters are longer than others."""
     config, seeds = configure("paper", duration=4.0, trigger=2.3), range(3)
-    gains = candidates("ff-filter", config, 4)
+    gains = candidates("ff-filter", config, 3)
+    gains.append(gains[0]._replace(own_push=500.0, lead_push=500.0, jerk=500.0))  # steady at once
     together = rollout.fly(textbook_tuned.Stacked("ff-filter", config, gains, 3), seeds, times=4)
     assert (together["trigger_time"] < 2.0).sum() >= 9 and len(set(together["smoothness"])) == 12
     for i, one in enumerate(gains):
