@@ -14,14 +14,21 @@ from baselines.policies.expert import Expert
 from baselines.policies.learned import Learned, Misfit, require_fit
 from baselines.policies.simple import Hover, Random
 from baselines.policies.textbook import Ff, FfFilter, LeeSlot, LqrSlot
-from baselines.policies.textbook_tuned import FfTuned, LeeTuned, LqrTuned, Tuned, found
+from baselines.policies.textbook_tuned import (
+    FfFilterTuned,
+    FfTuned,
+    LeeTuned,
+    LqrTuned,
+    Tuned,
+    found,
+)
 from baselines.policies.tuned import ExpertTuned
 from formation_env import FormationConfig
 from formation_env.validation.checks import require
 
 _PROGRAMMED: tuple[type[Policy], ...] = (
     *(Expert, ExpertTuned),
-    *(Ff, FfTuned, FfFilter, LeeSlot, LeeTuned, LqrSlot, LqrTuned),
+    *(Ff, FfTuned, FfFilter, FfFilterTuned, LeeSlot, LeeTuned, LqrSlot, LqrTuned),
     *(Hover, Random),
 )
 POLICIES: dict[str, type[Policy]] = {policy.name: policy for policy in _PROGRAMMED}

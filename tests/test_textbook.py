@@ -9,7 +9,6 @@ import pytest
 
 from baselines import make_policy
 from baselines.policies.cascade import Feedforward, Limits, LoopGains, limited, turning
-from baselines.policies.kalman import PUSH, Kalman, filters
 from baselines.policies.lee import Lee
 from baselines.policies.lqr import Lqr, LqrWeights
 from baselines.policies.parts import Measured, Motion, Points, measured
@@ -309,59 +308,6 @@ def test_weights_and_gains_that_cannot_be_are_refused() -> None:
         Lqr(config, LqrWeights(tilt=float("nan")))
     with pytest.raises(ValueError, match=r"gains = 3: expected a LoopGains"):
         Lee(config, 3)  # type: ignore[arg-type]
-
-
-# -- the filter -----------------------------------------------------------------------------------
-
-
-def test_the_filters_gain_is_where_the_recursion_ends() -> None:
-    """Kalman's recursion for the follower's filter, from an unknown start: 20 s later its gain."""
-    config = configure("paper")
-    h, V = config.control_period, np.diag((0.2**2, 0.1**2))
-    G = np.array((h * h / 2.0, h))
-    S, K_now = 1e3 * np.eye(2), np.zeros((2, 2))
-    F = np.array(((1.0, h), (0.0, 1.0)))
-    for _ in range(1000):
-        K_now = S @ np.linalg.inv(S + V)
-        S = F @ (S - K_now @ S) @ F.T + PUSH**2 * np.outer(G, G)
-    assert filters(config)[0].K[-1] == pytest.approx(K_now, rel=1e-3)
-    for f in filters(config):
-        k = f.K.shape[-1]
-        assert np.abs(np.linalg.eigvals(f.F - f.K[-1] @ f.F[:k])).max() < 1.0
-        # From the first estimate down to it: the position's gain falls from a half or so, like 1 / tick.
-        assert f.K[0, 0, 0] > 0.2 and f.K[-2] == pytest.approx(f.K[-1], abs=1e-3)
-        assert (np.diff(f.K[:20, 0, 0]) < 0.0).all()
-
-
-def test_without_noise_the_filter_passes_on_what_is_measured() -> None:
-    for f in filters(configure("nominal")):
-        assert f.K == pytest.approx(np.broadcast_to(np.eye(*f.K.shape[1:]), f.K.shape), abs=2e-3)
-
-
-def test_estimates_are_nearer_to_the_truth_than_measurements() -> None:
-    """On `paper`, ten seconds and more after the trigger: five times nearer."""
-    config = configure("paper")
-    policy, simulation = make_policy("ff-filter", config), Simulation(config, 4)
-    for i in range(4):
-        simulation.seed(i, seeded_key(i))
-    policy.reset(seed=0, worlds=4)
-    rows = simulation.reset().observations
-    kalman: Any = policy.estimator  # type: ignore[attr-defined]
-    assert isinstance(kalman, Kalman)
-    errors = []
-    for tick in range(1800):
-        actions = policy.act(rows)
-        if tick > 1200:
-            m, truth = measured(rows, config), simulation.positions
-            pairs = (
-                (m.motion.p, kalman._own[..., 0, :], truth[:, 1:]),
-                (m.leader.p, kalman._lead[..., 0, :], truth[:, :1]),
-            )
-            errors.append([[((x - true) ** 2).mean() for x in (a, b)] for a, b, true in pairs])
-        rows = simulation.step(actions).observations
-    rms = np.sqrt(np.mean(errors, axis=0))
-    assert rms[:, 0] == pytest.approx(0.2, rel=0.05)
-    assert (rms[:, 1] < 0.2 * rms[:, 0]).all()
 
 
 # -- in flight ------------------------------------------------------------------------------------

@@ -64,6 +64,19 @@ def test_candidates_together_score_as_each_alone(
             assert mean_scores(tunable, config, gains, seeds, pool) == alone
 
 
+def test_filters_together_wait_for_the_trigger_as_each_alone() -> None:
+    """Every metric of every episode, to the last bit; some of the filters are longer than others."""
+    config, seeds = configure("paper", duration=4.0, trigger=2.3), range(3)
+    gains = candidates("ff-filter", config, 3)
+    gains.append(gains[0]._replace(own_push=500.0, lead_push=500.0, jerk=500.0))  # steady at once
+    together = rollout.fly(textbook_tuned.Stacked("ff-filter", config, gains, 3), seeds, times=4)
+    assert (together["trigger_time"] < 2.0).sum() >= 9 and len(set(together["smoothness"])) == 12
+    for i, one in enumerate(gains):
+        alone = rollout.fly(textbook_tuned.FfFilterTuned(config, one), seeds)
+        for name, column in alone.items():
+            assert np.array_equal(together[name][3 * i : 3 * i + 3], column, equal_nan=True), name
+
+
 def test_one_that_overflows_does_not_spoil_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
     """The flight of all ends; then each flies alone."""
     config, seeds = configure("nominal", duration=1.0), range(2)

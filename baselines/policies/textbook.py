@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any, final
+from typing import Any, NamedTuple, final, get_type_hints
 
-from baselines.policies.cascade import Feedforward
+from baselines.policies.cascade import Feedforward, LoopGains
 from baselines.policies.composed import Composed
-from baselines.policies.kalman import Kalman
+from baselines.policies.kalman import Factors, Kalman
 from baselines.policies.lee import Lee
 from baselines.policies.lqr import Lqr
 from baselines.policies.slot_motion import SlotPlanner
 from formation_env import FormationConfig
+from formation_env.configuration.parts import part
+
+# The gains of `ff-filter` in one record.
+_PARTS = (LoopGains, Factors)
+_HINTS = [hint for kind in _PARTS for hint in get_type_hints(kind, include_extras=True).items()]
+FilteredGains: Any = NamedTuple("FilteredGains", _HINTS)  # type: ignore[misc]
+FilteredGains.__new__.__defaults__ = (*LoopGains(), *Factors())
 
 
 @final
@@ -25,13 +32,19 @@ class Ff(Composed):
 
 @final
 class FfFilter(Composed):
-    """`ff` on Kalman filters of what is measured; it remembers them, for each world."""
+    """`ff` on Kalman filters of what is measured; it remembers them, for each world.
+
+    Its gains are those of `ff` and the factors on the filters' process noise, `FilteredGains`.
+    """
 
     name = "ff-filter"
 
     def __init__(self, config: FormationConfig, gains: Any = None) -> None:
-        planner, tracker = SlotPlanner(config), Feedforward(config, gains)
-        super().__init__(config, planner, tracker, Kalman(config))
+        planner = SlotPlanner(config)
+        g = part("gains", FilteredGains() if gains is None else gains, FilteredGains())
+        loops, factors = g[: len(LoopGains._fields)], g[len(LoopGains._fields) :]
+        tracker = Feedforward(config, LoopGains(*loops))
+        super().__init__(config, planner, tracker, Kalman(config, Factors(*factors)))
 
 
 @final

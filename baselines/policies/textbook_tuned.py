@@ -1,4 +1,4 @@
-"""`ff`, `lee` and `lqr` with gains found by the search that finds the expert's.
+"""`ff`, `ff-filter`, `lee` and `lqr` with gains found by the search that finds the expert's.
 
 The gains are those of `baselines/tuned_gains_ff.json` and so on, one set for each scenario and action level,
 found by `python -m train.tune_expert --policy ff`.
@@ -15,12 +15,11 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.policies.cascade import Feedforward, LoopGains
+from baselines.policies.cascade import LoopGains
 from baselines.policies.composed import Composed
 from baselines.policies.gain_files import FOLDER, Table, as_object, read_table, warn_untuned
-from baselines.policies.lee import Lee
-from baselines.policies.lqr import Lqr, LqrWeights
-from baselines.policies.slot_motion import SlotPlanner
+from baselines.policies.lqr import LqrWeights
+from baselines.policies.textbook import Ff, FfFilter, FilteredGains, LeeSlot, LqrSlot
 from formation_env import FormationConfig
 from formation_env.configuration.parts import part
 from formation_env.validation.checks import require
@@ -29,15 +28,16 @@ from formation_env.validation.checks import require
 class Law(NamedTuple):
     """A law whose gains can be searched."""
 
-    tracker: Any  # a kind of `TwoLoops`, made with the configuration and gains
+    policy: Any  # a kind of `Composed`, made with the configuration and gains
     gains: Any  # the record of its gains
     file: Path  # of the gains that were found
 
 
 LAWS = {
-    "ff": Law(Feedforward, LoopGains, FOLDER / "tuned_gains_ff.json"),
-    "lee": Law(Lee, LoopGains, FOLDER / "tuned_gains_lee.json"),
-    "lqr": Law(Lqr, LqrWeights, FOLDER / "tuned_gains_lqr.json"),
+    "ff": Law(Ff, LoopGains, FOLDER / "tuned_gains_ff.json"),
+    "ff-filter": Law(FfFilter, FilteredGains, FOLDER / "tuned_gains_ff-filter.json"),
+    "lee": Law(LeeSlot, LoopGains, FOLDER / "tuned_gains_lee.json"),
+    "lqr": Law(LqrSlot, LqrWeights, FOLDER / "tuned_gains_lqr.json"),
 }
 
 
@@ -76,12 +76,13 @@ class Tuned(Composed):
     law: str
 
     def __init__(self, config: FormationConfig, gains: Any = None) -> None:
-        planner = SlotPlanner(config)
+        require(isinstance(config, FormationConfig), "config", config, "a FormationConfig")
         gains = found(self.law, config) if gains is None else gains
         self.tuned = gains is not None
         if gains is None:
             warn_untuned(self.name, config, "the plain ones")
-        super().__init__(config, planner, LAWS[self.law].tracker(config, gains))
+        law = LAWS[self.law].policy(config, gains)
+        super().__init__(config, law.planner, law.tracker, law.estimator)
 
 
 @final
@@ -97,9 +98,11 @@ class Stacked(Composed):
     def __init__(
         self, law: str, config: FormationConfig, gains: Sequence[Any], worlds: int
     ) -> None:
-        trackers = [LAWS[law].tracker(config, each) for each in gains]
+        one, *_ = alone = [LAWS[law].policy(config, each) for each in gains]
+        tracker = one.tracker.stacked([each.tracker for each in alone], worlds)
+        estimator = one.estimator and one.estimator.stacked([e.estimator for e in alone], worlds)
+        super().__init__(config, one.planner, tracker, estimator)
         self._of_all = len(gains) * worlds
-        super().__init__(config, SlotPlanner(config), trackers[0].stacked(trackers, worlds))
 
     def begin(self, seeds: NDArray[np.uint64]) -> None:
         require(len(seeds) == self._of_all, "worlds", len(seeds), f"{self._of_all}")
@@ -111,6 +114,13 @@ class FfTuned(Tuned):
     """`ff` with gains that were searched."""
 
     name, law = "ff-tuned", "ff"
+
+
+@final
+class FfFilterTuned(Tuned):
+    """`ff-filter` with gains and factors that were searched."""
+
+    name, law = "ff-filter-tuned", "ff-filter"
 
 
 @final
@@ -127,4 +137,6 @@ class LqrTuned(Tuned):
     name, law = "lqr-tuned", "lqr"
 
 
-TUNED: dict[str, type[Tuned]] = {kind.law: kind for kind in (FfTuned, LeeTuned, LqrTuned)}
+TUNED: dict[str, type[Tuned]] = {
+    kind.law: kind for kind in (FfTuned, FfFilterTuned, LeeTuned, LqrTuned)
+}

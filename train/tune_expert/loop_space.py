@@ -19,8 +19,8 @@ from formation_env import FormationConfig
 from formation_env.memory.records import notes
 from train.tune_expert.gain_space import share
 
-# Of `ff` and `lee`, where the environment's tracker flies the follower.
-_UNUSED = ("attitude", "rate")
+# Of others than `lqr`, where the environment's tracker flies the follower.
+_UNUSED = ("attitude", "rate", "own_push")
 
 
 @final

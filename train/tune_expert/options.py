@@ -29,7 +29,7 @@ class Options:
     """
 
     policy: str = "expert"
-    """Policy whose gains are searched: expert, ff, lee or lqr."""
+    """Policy whose gains are searched: expert, ff, ff-filter, lee or lqr."""
     scenario: str = "nominal"
     """Name of the scenario that gains are searched for: nominal, paper, experiment, agile or swarm."""
     action: str | None = None
