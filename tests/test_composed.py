@@ -122,7 +122,7 @@ def test_at_reference_the_planner_alone_matters() -> None:
     config = configure("nominal", action="reference")
     policy = Composed(config, PaperPlanner(config), Mine(config))
     assert fly(policy, range(2))["return"] == pytest.approx(
-        fly(Expert(config), range(2))["return"], abs=1e-7
+        fly(Expert(config), range(2))["return"], rel=1e-7
     )
 
 

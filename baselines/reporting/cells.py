@@ -17,6 +17,8 @@ def figure(name: str, x: float) -> str:
         return f"{100.0 * x:.0f} %"
     if EPISODE[name].unit == "s":
         return f"{x:.2f}"
+    if abs(x) >= 100.0:
+        return f"{x:.1f}"
     return f"{x:.3f}" if x == 0.0 or abs(x) >= 0.001 else f"{x:.1e}"
 
 

@@ -83,7 +83,7 @@ EPISODE = {
     "return": Metric(
         "1",
         "higher",
-        "sum of rewards over the episode's time limit in ticks; ticks after a failure count zero",
+        "sum of the rewards until the episode ends",
     ),
     "settled": Metric(
         "1",
@@ -289,7 +289,7 @@ def episodes(t: Tally, config: FormationConfig) -> dict[str, Floats]:
         "slot_error_late": np.sqrt((t.late_squared_errors + late_missing * CAP**2) / late_window),
         "failed": failed.astype(np.float64),
         "trigger_time": np.where(started, t.trigger_tick * period, deadline(config)),
-        "return": t.reward_sum / config.max_steps,
+        "return": t.reward_sum.copy(),
         "settled": settled.astype(np.float64),
         "settling_time": _where(settled, (unsettled - t.trigger_tick) * period),
         "leader_deviation": _where(late, t.leader_deviation),
