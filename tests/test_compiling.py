@@ -16,6 +16,8 @@ import pytest
 
 from formation_env import _compiling
 from formation_env._compiling import _Compiling, linked_functions
+from formation_env.core.kernels import advance
+from formation_env.physics.quadrotor import derivative
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = "/the/folder"
@@ -228,9 +230,9 @@ def test_the_functions_that_are_compiled_are_those_that_were_counted(tmp_path: P
 
 @needs_compiler
 def test_the_simulation_is_hundreds_of_functions_that_are_counted_at_once() -> None:
-    from formation_env.core.kernels import advance
-
     names = {one.__module__ for one in linked_functions(advance)}
     for module in ("core.tick", "laws.world", "paths.references", "physics.sensors"):
         assert f"formation_env.{module}" in names
     assert len(linked_functions(advance)) > 200
+    # Runge-Kutta's step has the derivative it was made for as a variable of an outer function.
+    assert derivative.py_func in linked_functions(advance)  # type: ignore[attr-defined]
