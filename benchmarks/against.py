@@ -34,6 +34,7 @@ from baselines.system.console import command, complain, say
 from baselines.system.writing import write_text
 from benchmarks import startup
 from benchmarks.timing import ratio
+from formation_env.formations import MAX_FOLLOWERS
 
 POINTS = (
     "gym.make",
@@ -109,10 +110,12 @@ def _points(text: str) -> list[str]:
     names = list(dict.fromkeys(name.strip() for name in text.split(",")))
     for name in names:
         kind, _, worlds = name.partition("-")
-        batch = kind in ("vector", "expert") and worlds.isascii() and worlds.isdigit()
-        if name not in POINTS and not (batch and 1 <= int(worlds) <= _MOST_WORLDS):
+        most = {"vector": _MOST_WORLDS, "expert": _MOST_WORLDS, "frame": MAX_FOLLOWERS}.get(kind, 0)
+        whole_number = worlds.isascii() and worlds.isdigit()
+        if name not in POINTS and not (whole_number and 1 <= int(worlds) <= most):
             raise argparse.ArgumentTypeError(
-                f"{name!r}: expected gym.make, pettingzoo, vector-WORLDS or expert-WORLDS"
+                f"{name!r}: expected gym.make, pettingzoo, vector-WORLDS, expert-WORLDS or "
+                "frame-FOLLOWERS"
             )
     return names
 
@@ -148,7 +151,7 @@ def parser() -> Parser:
         help="Number of turns of each checkout. (default: %(default)s)")  # fmt: skip
     add("--points", type=_points, default=list(POINTS), metavar="NAMES",
         help="Points to time, separated by commas: gym.make and pettingzoo (one world), vector-WORLDS "
-        "(random actions), expert-WORLDS (flown by the expert). "
+        "(random actions), expert-WORLDS (flown by the expert), frame-FOLLOWERS (pictures of one world). "
         f"(default: {', '.join(POINTS)})")  # fmt: skip
     add("--scenario", choices=("nominal", "paper"), default="nominal", metavar="NAME",
         help="Scenario that is flown, nominal or paper. (default: %(default)s)")  # fmt: skip

@@ -99,6 +99,7 @@ def bars(figures: Figures) -> list[Bar]:
         ),
         Bar("growth over a long run, KiB", _over(start.get("growth"), 1024), 512, True),
         *_flatness(figures.get("grid") or []),
+        Bar("picture of seven vehicles, ms", figures.get("frame_ms"), 10, True),
         Bar("import formation_env, s", start.get("import"), 1, True),
         Bar("first compile, s", None if cold is None else sum(cold["cold"].values()), 60, True),
         Bar(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import time
 from collections.abc import Callable
 from statistics import median
@@ -13,7 +14,15 @@ from baselines.registry import make_policy
 from baselines.scoring.rollout import fly
 from benchmarks import peers
 from benchmarks.grid import Point, task
-from benchmarks.steps import gym_steps, parallel_steps, policy_steps, random_steps, steps_only
+from benchmarks.steps import (
+    frames,
+    gym_steps,
+    in_flight,
+    parallel_steps,
+    policy_steps,
+    random_steps,
+    steps_only,
+)
 from benchmarks.timing import Sampler, in_turn, ratio, repeating, steps_within
 from formation_env import configure, formation_v0
 from formation_env.core.simulation import Simulation, seeded_key
@@ -52,6 +61,16 @@ def one_world(rounds: int, seconds: float, use_peers: bool, say: Say) -> Figures
             times["MPE2 simple_spread_v3"], times["PettingZoo Formation-v0"]
         )
     return figures
+
+
+def frame(rounds: int, seconds: float, say: Say) -> float | None:
+    """Milliseconds a picture of a leader and six followers, the least of some rounds; None without pygame."""
+    if importlib.util.find_spec("pygame") is None:
+        say("skipped pictures: pygame is not installed")
+        return None
+    config = in_flight("nominal", followers=6)
+    times = in_turn({"frame": frames(config, make_policy("expert", config))}, rounds, seconds)
+    return 1e3 * min(times["frame"])
 
 
 def _absent(peer: peers.Peer, say: Say) -> bool:

@@ -92,3 +92,16 @@ def policy_steps(env: Any, policy: Any) -> Sampler:
         observations = env.step(policy.act(observations))[0]
 
     return repeating(step)
+
+
+def frames(config: FormationConfig, policy: Any) -> Sampler:
+    """Pictures of one world that the policy flies, with trails of full length."""
+    env = gym.make("Formation-v0", scenario=config, render_mode="rgb_array")
+    observation = env.reset(seed=0)[0]
+    policy.reset(seed=0, worlds=1)
+    for _ in range(65):  # a trail has 64 points, 0.08 s apart
+        for _ in range(round(0.08 / config.control_period)):
+            rows = np.reshape(observation, (1, config.followers, -1))
+            observation = env.step(policy.act(rows).reshape(env.action_space.shape or ()))[0]
+        env.render()
+    return repeating(env.render)

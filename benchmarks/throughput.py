@@ -214,6 +214,7 @@ def _memory(options: argparse.Namespace, figures: Figures) -> None:
 def _singles(options: argparse.Namespace, figures: Figures, say: Say) -> None:
     rounds, seconds = options.rounds, options.seconds
     figures["one_world"] = single.one_world(rounds, seconds, options.peers, say)
+    figures["frame_ms"] = single.frame(rounds, seconds, say)
     most, threads = max(options.worlds), max(options.threads)
     if options.peers:
         figures["batches"] = single.batches(threads, rounds, seconds, most, say)

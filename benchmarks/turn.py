@@ -14,15 +14,26 @@ import gymnasium as gym
 
 import formation_env
 from baselines import make_policy
-from benchmarks.steps import gym_steps, in_flight, parallel_steps, policy_steps, random_steps
+from benchmarks.steps import (
+    frames,
+    gym_steps,
+    in_flight,
+    parallel_steps,
+    policy_steps,
+    random_steps,
+)
 from benchmarks.timing import Sampler, in_turn
 from formation_env import formation_v0
 
 
 def sampler(point: str, scenario: str, threads: int) -> Sampler:
-    """What is timed at a point: `gym.make`, `pettingzoo`, `vector-WORLDS` or `expert-WORLDS`."""
+    """What is timed at a point: `gym.make`, `pettingzoo`, `frame-FOLLOWERS`, `vector-WORLDS` or
+    `expert-WORLDS`."""
     config = in_flight(scenario)
     kind, _, worlds = point.partition("-")
+    if kind == "frame":
+        config = in_flight(scenario, followers=int(worlds))
+        return frames(config, make_policy("expert", config))
     if kind == "gym.make":
         return gym_steps(config)
     if kind == "pettingzoo":

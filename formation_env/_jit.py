@@ -14,17 +14,14 @@ Setting `NUMBA_DISABLE_JIT=1` turns all of it back into Python, for coverage and
 
 from __future__ import annotations
 
-import gc
 import hashlib
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 from numba import njit
-from numba.core import event, types
+from numba.core import types
 from numba.core.compiler import Compiler
 from numba.extending import lower_builtin, type_callable
 
@@ -35,6 +32,8 @@ _types: Any = types
 F = TypeVar("F", bound=Callable[..., Any])
 
 FASTMATH = {"contract", "nsz", "arcp"}
+
+KERNELS: list[Any] = []  # all that `kernel` has made in this process
 
 
 @cache
@@ -172,63 +171,5 @@ def kernel(function: F) -> F:
             compiled._cache._cache_file._source_stamp = stamp
         except (RuntimeError, OSError):  # no folder of those Numba tries can be written
             pass
+    KERNELS.append(compiled)
     return compiled  # type: ignore[no-any-return]
-
-
-class _SlowKernels(event.Listener):  # type: ignore[misc]
-    """What is done while a slow kernel is compiled: see `on_start`."""
-
-    def __init__(self) -> None:
-        self.kernels: list[Any] = []
-        self.told = False
-        self._thresholds: list[tuple[int, int, int]] = []  # of kernels that compile others
-
-    def _is_one(self, event: Any) -> bool:
-        return any(event.data["dispatcher"] is one for one in self.kernels)
-
-    def on_start(self, event: Any) -> None:
-        """Say once per process that this takes long, and collect garbage less often meanwhile.
-
-        The compiler holds some millions of objects until it is done; looking through them for garbage at the
-        usual pace is a tenth of its time.
-        """
-        if not self._is_one(event):
-            return
-        self._thresholds.append(gc.get_threshold())
-        if gc.get_threshold()[0]:
-            gc.set_threshold(100_000, 50, 100)
-        if self.told:
-            return
-        self.told = True
-        folder = event.data["dispatcher"].stats.cache_path
-        kept = f"it is kept in {folder}" if folder else "no folder to keep it in: NUMBA_CACHE_DIR"
-        print(
-            f"formation_env: compiling the simulation, which can take a minute ({kept})",
-            file=sys.stderr,
-            flush=True,
-        )
-
-    def on_end(self, event: Any) -> None:
-        if self._is_one(event):
-            gc.set_threshold(*self._thresholds.pop())
-
-
-_slow_kernels = _SlowKernels()
-
-
-@contextmanager
-def untold() -> Iterator[None]:
-    """Within, the notice that a slow kernel is compiled is not printed: the caller prints its own."""
-    before, _slow_kernels.told = _slow_kernels.told, True
-    try:
-        yield
-    finally:
-        _slow_kernels.told = before
-
-
-def announced(kernel: F) -> F:
-    """Have the user told when this kernel has to be compiled: not when it comes from the cache."""
-    if not _slow_kernels.kernels:
-        event.register("numba:compile", _slow_kernels)
-    _slow_kernels.kernels.append(kernel)
-    return kernel

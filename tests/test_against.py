@@ -14,7 +14,7 @@ from benchmarks import against
 
 ROOT = Path(__file__).resolve().parent.parent
 TINY = ["--turns", "1", "--rounds", "1", "--seconds", "0.0001", "--points"]
-POINTS = ["gym.make", "pettingzoo", "vector-2", "expert-2"]
+POINTS = ["gym.make", "pettingzoo", "vector-2", "expert-2", "frame-1"]
 
 
 @pytest.fixture
@@ -129,6 +129,7 @@ def test_the_checkouts_take_turns() -> None:
         (["{folder}"], "CHECKOUT"),
         (["{folder}/absent"], "CHECKOUT"),
         (["{root}", "--points", "vector-0"], "--points"),
+        (["{root}", "--points", "frame-0"], "--points"),
         (["{root}", "--points", "gym.make,swarm"], "--points"),
         (["{root}", "--least", "nan"], "--least"),
         (["{root}", "--turns", "0"], "--turns"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -106,6 +107,13 @@ def test_memory_covers_what_the_state_must_hold(figures: dict[str, Any]) -> None
     for row in figures["memory"]:
         assert row["held"] > 13 * 8
         assert row["peak"] >= row["held"]
+
+
+def test_a_picture_is_timed(figures: dict[str, Any]) -> None:
+    if importlib.util.find_spec("pygame") is None:
+        assert figures["frame_ms"] is None
+    else:
+        assert 0.1 < figures["frame_ms"] < 10_000.0
 
 
 def test_what_does_not_fit_is_skipped_with_a_line(

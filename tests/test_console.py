@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -122,6 +124,21 @@ def test_compiling_has_a_line_of_its_own(capsys: pytest.CaptureFixture[str]) -> 
     with progress.compiling(quiet=True):
         compile_something()
     assert capsys.readouterr().err == ""
+
+
+def test_on_a_terminal_the_line_says_what_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", screen)
+    line, waits = progress._Line(quiet=False), iter([False, False, True])
+    monkeypatch.setattr(line._over, "wait", lambda seconds: next(waits))
+    said = iter(["the simulation, 9 of 331 functions, about 17 s left", ""])
+    monkeypatch.setattr(progress, "status", lambda: next(said))
+    line._began = time.monotonic()
+    line._tick()
+    _, first, second = screen.getvalue().split("\r")
+    assert first.rstrip() == "compiling once: the simulation, 9 of 331 functions, about 17 s left"
+    assert second.rstrip() == f"{progress.TEXT} 0 s"
+    assert len(first) == len(second) == 79
 
 
 def test_the_bar_begins_when_everything_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,7 @@ from scenes import NO_PATH, SIZE, camera_of, coloured, picture, scene
 from formation_env.env import FormationEnv
 from formation_env.interface.faces import path_times
 from formation_env.paths.references import Floats
-from formation_env.rendering import Renderer
+from formation_env.rendering import Renderer, _pixels
 from formation_env.rendering.camera import Follow, look, project
 from formation_env.rendering.geometry import (
     circle,
@@ -29,7 +29,8 @@ from formation_env.rendering.geometry import (
 from formation_env.rendering.style import FAR, FOLLOWERS, LEADER
 
 pygame = pytest.importorskip("pygame")
-Painter = pytest.importorskip("formation_env.rendering.painter").Painter
+painter = pytest.importorskip("formation_env.rendering.painter")
+Painter, _widths = painter.Painter, painter._widths
 
 coordinates = st.floats(-50.0, 50.0)
 points = st.tuples(coordinates, coordinates, st.floats(-30.0, 0.0)).map(np.array)
@@ -262,6 +263,23 @@ def test_another_renderer_may_quit_pygame() -> None:
     before = renderer.draw(scene())
     pygame.quit()
     assert np.array_equal(renderer.draw(scene()), before)
+    pygame.quit()
+    pygame.font.init()  # by the other, so that only the font is stale
+    assert np.array_equal(renderer.draw(scene()), before)
+
+
+def test_the_array_has_the_colours_of_the_surface() -> None:
+    surface = pygame.Surface((3, 2), 0, 32)
+    surface.set_at((2, 1), (10, 20, 30))
+    found = _pixels(surface)
+    assert found.shape == (2, 3, 3) and found.flags.c_contiguous
+    assert found[1, 2].tolist() == [10, 20, 30] and found.sum() == 60
+
+
+def test_a_line_is_as_wide_across_as_asked() -> None:
+    """On a slope pygame measures along an axis; without length a line keeps its width."""
+    lines = np.array([[[0, 0], [9, 0]], [[0, 0], [9, 9]], [[0, 9], [9, 0]], [[4, 4], [4, 4]]])
+    assert _widths(lines, np.array([10, 10, 10, 3])).tolist() == [10, 14, 14, 3]
 
 
 # -- pictures of environments ---------------------------------------------------------------------

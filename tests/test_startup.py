@@ -17,18 +17,19 @@ pytestmark = pytest.mark.skipif(
 )
 
 SMALL = """
-from formation_env._jit import announced, device, kernel
+from formation_env._compiling import announced
+from formation_env._jit import device, kernel
 
 @device
 def twice(x):
     return 2.0 * x
 
-@announced
+@announced("four times")
 @kernel
 def quadruple(x):
     return twice(twice(x))
 
-@announced
+@announced("eight times")
 @kernel
 def octuple(x):
     return 2.0 * quadruple(x)
@@ -131,11 +132,11 @@ def test_with_no_folder_to_write_it_works_all_the_same(tmp_path: Path) -> None:
 
 def test_an_archive_of_the_package_works_without_a_cache(tmp_path: Path) -> None:
     (tmp_path / "formation_env").mkdir()
-    for name in ("__init__.py", "_jit.py"):
-        source = ROOT / "formation_env" / name
-        text = source.read_text(encoding="utf-8") if name == "_jit.py" else ""
-        (tmp_path / "formation_env" / name).write_text(text, encoding="utf-8")
+    (tmp_path / "formation_env" / "__init__.py").write_text("", encoding="utf-8")
+    for source in (ROOT / "formation_env").glob("_[a-z]*.py"):
+        shutil.copy(source, tmp_path / "formation_env")
     (tmp_path / "small.py").write_text(SMALL, encoding="utf-8")
     archive = Path(shutil.make_archive(str(tmp_path / "all"), "zip", tmp_path))
-    words, _ = run(CALL, archive)
+    # Without the folder that the tests run in, which is the checkout.
+    words, _ = run("import sys\nsys.path.remove('')\n" + CALL, archive)
     assert words == ["0", "None"]

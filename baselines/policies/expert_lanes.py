@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from baselines.policies.actions import clipped_or_zero
 from baselines.policies.base import Rows
+from formation_env._compiling import announced
 from formation_env._jit import device, kernel, loop
 from formation_env.laws.feedforward import full_trajectory_point
 from formation_env.laws.levels import REFERENCE, Guide, acceleration_action, wrench_action
@@ -282,6 +283,7 @@ def take_rows(rows: Rows, t: int, entries: int, room: Room) -> None:
             room.rows[j * _LANES + lane] = flat[a + j]
 
 
+@announced("the expert")
 @kernel
 def decide(
     rows: Rows,

@@ -17,15 +17,17 @@ from typing import Any, final
 from numba.core import event
 
 from baselines.system.console import Lenient
-from formation_env._jit import untold
+from formation_env._compiling import status, untold
 
 TEXT = "compiling the simulation (once per machine, about a minute) ..."
+_ROOM = 79  # columns of a terminal that the line may take
 
 
 @contextmanager
 def compiling(quiet: bool = False) -> Iterator[None]:
-    """Within, the first kernel that has to be compiled starts a line on the standard error, which counts
-    the seconds on a terminal and ends with `done in 48 s`. No line where all comes from the cache."""
+    """Within, the first kernel that has to be compiled starts a line on the standard error, which on a
+    terminal says what is compiled and how much of it is left, and ends with `done in 48 s`. No line where all
+    comes from the cache."""
     line = _Line(quiet)
     event.register("numba:compile", line)
     how = "stopped after"
@@ -68,7 +70,9 @@ class _Line(event.Listener):  # type: ignore[misc]
 
     def _tick(self) -> None:
         while not self._over.wait(1.0):
-            self._stream.write(f"\r{TEXT} {self._seconds()}")
+            now = status()
+            text = f"compiling once: {now}" if now else f"{TEXT} {self._seconds()}"
+            self._stream.write("\r" + text[:_ROOM].ljust(_ROOM))
             self._stream.flush()
 
     def end(self, how: str) -> None:
@@ -78,7 +82,7 @@ class _Line(event.Listener):  # type: ignore[misc]
         self._over.set()
         if self._clock is not None:
             self._clock.join()
-            self._stream.write(f"\r{TEXT}")
+            self._stream.write(f"\r{' ' * _ROOM}\r{TEXT}")
         self._stream.write(f" {how} {self._seconds()}\n")
         self._stream.flush()
 

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from formation_env._jit import announced, kernel, step
+from formation_env._compiling import announced
+from formation_env._jit import kernel, step
 from formation_env.core import arrays
 from formation_env.core.arrays import Counters
 from formation_env.core.calls import RESET as RESET
@@ -44,7 +45,7 @@ def bad_action(mode: int, actions: Any, memory: Any) -> int:
     return -1
 
 
-@announced
+@announced("the simulation")
 @kernel
 def advance(
     desk: int,

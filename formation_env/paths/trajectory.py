@@ -10,7 +10,8 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from formation_env._jit import announced, kernel
+from formation_env._compiling import announced
+from formation_env._jit import kernel
 from formation_env.maths.so3 import Vector
 from formation_env.memory.records import line_storer, size
 from formation_env.memory.shuffles import carve
@@ -37,7 +38,7 @@ def _draw_one(key: int, bounds: Floats, table: Floats) -> None:
     draw(key, bounds, table)
 
 
-@announced
+@announced("the paths")
 @kernel
 def _sample(kind: int, table: Floats, times: Floats, rows: Floats) -> complex:
     """Fill `rows`, `(N, size(TrajectoryPoint))`, with the path at `times`; its direction at the start.

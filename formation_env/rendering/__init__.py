@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import os
+import sys
 from collections import deque
 from typing import Any, NamedTuple, final
 
@@ -106,8 +107,7 @@ class Renderer:
         if self._window is not None:
             self._window.show(picture)
             return None
-        pixels = np.frombuffer(self._pygame.image.tobytes(picture, "RGB"), dtype=np.uint8)
-        return pixels.reshape(self._size[1], self._size[0], 3).copy()
+        return _pixels(picture)
 
     def close(self) -> None:
         """Close the window, if there is one. Harmless when repeated."""
@@ -124,6 +124,18 @@ class Renderer:
         keep = max(6, TRAIL_BUDGET // len(scene.positions))
         past = [positions for _, positions in self._trail][-keep:]
         return np.stack([*past, scene.positions])
+
+
+def _pixels(picture: Any) -> NDArray[np.uint8]:
+    """A copy of a surface of 32 bits a pixel, `(height, width, 3)`."""
+    width, height = picture.get_size()
+    words = np.frombuffer(picture.get_buffer(), dtype=np.uint8).reshape(height, -1, 4)
+    pixels = np.empty((height, width, 3), dtype=np.uint8)
+    # Colour by colour, which takes half the time of `pygame.image.tobytes` and a copy.
+    for colour, shift in enumerate(picture.get_shifts()[:3]):
+        byte = shift // 8 if sys.byteorder == "little" else 3 - shift // 8
+        pixels[..., colour] = words[:, :width, byte]
+    return pixels
 
 
 @final

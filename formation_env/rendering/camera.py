@@ -23,6 +23,18 @@ CLOSEST = 3.4  # m
 NEAR = 0.05  # share of the distance to the aim; what is nearer than that is not drawn
 
 
+def _axes() -> Floats:
+    """Those of every camera, `(3, 3)`: see `Camera.axes`."""
+    forward = np.array(
+        [cos(ELEVATION) * cos(AZIMUTH), cos(ELEVATION) * sin(AZIMUTH), sin(ELEVATION)]
+    )
+    right = np.array([-sin(AZIMUTH), cos(AZIMUTH), 0.0])
+    return np.stack([right, np.cross(forward, right), forward])
+
+
+AXES = _axes()
+
+
 class Camera(NamedTuple):
     """A pinhole camera."""
 
@@ -35,13 +47,9 @@ class Camera(NamedTuple):
 
 def look(aim: Floats, distance: float, size: tuple[int, int]) -> Camera:
     """The camera `distance` m from `aim` for a picture of `size` (width, height) px."""
-    forward = np.array(
-        [cos(ELEVATION) * cos(AZIMUTH), cos(ELEVATION) * sin(AZIMUTH), sin(ELEVATION)]
-    )
-    right = np.array([-sin(AZIMUTH), cos(AZIMUTH), 0.0])
     return Camera(
-        eye=aim - distance * forward,
-        axes=np.stack([right, np.cross(forward, right), forward]),
+        eye=aim - distance * AXES[2],
+        axes=AXES,
         focal=0.5 * min(size) / tan(0.5 * FIELD),
         centre=0.5 * np.array(size, dtype=np.float64),
         distance=distance,

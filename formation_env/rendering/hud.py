@@ -5,6 +5,7 @@ Needs pygame; loaded when a renderer is made.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from math import sqrt
 from typing import final
 
@@ -30,15 +31,11 @@ class Hud:
         self._size = size
         self._line = max(10, round(size[1] / 32))  # px from line to line
         self._text_size = max(9, round(0.78 * self._line))
+        self._font: pygame.font.Font | None = None
         self._labels: dict[tuple[str, Colour], pygame.Surface] = {}
 
     def draw(self, picture: pygame.Surface, camera: Camera, scene: Scene) -> None:
         """Write on `picture`, in place."""
-        if not pygame.font.get_init():
-            pygame.font.init()
-        # Anew each time, a third of a millisecond: a font does not survive `pygame.quit`, which
-        # other renderers call.
-        self._font = pygame.font.Font(None, round(1.45 * self._text_size))
         errors = np.linalg.norm(scene.positions[1:] - scene.slots, axis=1)
         self._errors(picture, scene, errors)
         if not scene.started:
@@ -126,6 +123,14 @@ class Hud:
         picture.blit(self._word(text, colour), corner)
 
     def _word(self, text: str, colour: Colour) -> pygame.Surface:
+        if self._font is not None:
+            # A font does not survive `pygame.quit`, which other renderers call.
+            with suppress(pygame.error):
+                return self._font.render(text, True, colour)
+        if not pygame.font.get_init():
+            pygame.font.init()
+        # Kept, because it keeps the letters it has drawn: that is most of the time of a text.
+        self._font = pygame.font.Font(None, round(1.45 * self._text_size))
         return self._font.render(text, True, colour)
 
     def _label(self, text: str, colour: Colour) -> pygame.Surface:

@@ -6,8 +6,8 @@ smoothing each. Needs pygame; loaded when a renderer is made.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from math import hypot
+from collections.abc import Callable, Iterable
+from itertools import pairwise, repeat
 from typing import Any, final
 
 import numpy as np
@@ -34,6 +34,7 @@ from formation_env.rendering.style import Colour
 SUPERSAMPLING = 2
 DETAILED = 40  # vehicles up to which circles are finer and heights are marked by a line
 FINE = 12.0  # px on the canvas, of an arm; shorter ones get no rims and a plain shadow
+ARMS = np.array([[0, 2], [1, 3]])  # hubs that a quadrotor's two arms join
 LIMIT = 16_000.0  # px; gfxdraw takes 16-bit coordinates
 
 
@@ -45,12 +46,11 @@ class Painter:
         self.size = size
         self._large = (SUPERSAMPLING * size[0], SUPERSAMPLING * size[1])
         self._canvas = pygame.Surface(self._large, 0, 32)
-        self._background = pygame.Surface(self._large, 0, 32)
         self._picture = pygame.Surface(size, 0, 32)
-        rows = style.ground(np.arange(float(self._large[1])), self._large[1])
-        for y, colour in enumerate(np.rint(rows).astype(int).tolist()):
-            self._background.fill(colour, (0, y, self._large[0], 1))
+        self._bands = _bands(self._large)
         self._tasks: list[tuple[float, Callable[..., Any], tuple[Any, ...]]] = []
+        # Lines that are to be queued: ends, colours, strengths and widths.
+        self._pieces: list[tuple[Floats, Floats, Floats, Any]] = []
         self._camera: Camera
 
     def paint(self, camera: Camera, scene: Scene, trail: Floats) -> pygame.Surface:
@@ -66,15 +66,19 @@ class Painter:
         detailed = len(scene.positions) <= DETAILED
         shapes = quadrotors(scene.positions, scene.attitudes, arm, 20 if detailed else 8)
         self._fine = self._camera.focal * arm > FINE * camera.distance
-        self._canvas.blit(self._background, (0, 0))
+        # Filled: copying a background would take twice the time.
+        for colour, area in self._bands:
+            self._canvas.fill(colour, area)
         self._shadows(shapes)
         self._floor(camera.eye + camera.distance * camera.axes[2])
         self._tasks.clear()
+        self._pieces.clear()
         self._path(scene.path)
         self._trails(trail)
         self._slots(scene, arm, 24 if detailed else 12)
         if detailed:
             self._plumb_lines(scene.positions)
+        self._queue_lines()
         self._vehicles(scene.positions, shapes)
         for _, draw, arguments in sorted(self._tasks, key=lambda task: -task[0]):
             draw(*arguments)
@@ -88,10 +92,9 @@ class Painter:
         self._shade(shapes.rotors, 34)
         self._shade(shapes.hull, 60)
         hubs, visible = self._pixels(on_floor(shapes.hubs))
+        arms = hubs[visible.all(axis=-1)][:, ARMS].reshape(-1, 2, 2)
         colour = style.mix(style.NEAR, style.SHADOW, 0.35)
-        for corners in hubs[visible.all(axis=-1)].tolist():
-            for a, b in ((0, 2), (1, 3)):
-                self._line(corners[a], corners[b], colour, 3)
+        self._lines(arms, repeat(colour), np.full(len(arms), 3))
 
     def _shade(self, outlines: Floats, alpha: int) -> None:
         """The shadows of polygons `(..., K, 3)`."""
@@ -109,8 +112,7 @@ class Painter:
         shown = self._shown(pixels, visible) & (strength > 0.02)
         pixels = pixels[shown]
         tints = self._tint(colours[shown], 0.75 * strength[shown], pixels.mean(axis=1)[:, 1])
-        for ends, tint, width in zip(pixels.tolist(), tints, widths[shown].tolist(), strict=True):
-            self._line(ends[0], ends[1], tint, width)
+        self._lines(pixels, tints, widths[shown])
 
     # -- above the floor, farthest first ----------------------------------------------------------
 
@@ -158,12 +160,16 @@ class Painter:
         noses, _ = self._pixels(shapes.nose)
         rotor_depth = self._depth(shapes.hubs)
         from_above = np.einsum("ni,ni->n", shapes.up, self._camera.eye - positions) > 0.0
-        width = float(self._camera.focal * 0.02 / max(self._camera.distance, 1e-9))
+        # The two arms, and the line from the middle to the nose.
+        ahead = np.stack([hulls.mean(axis=1), noses], axis=1)
+        beams = np.concatenate([hubs[:, ARMS], ahead[:, None]], axis=1)
+        width = max(2, int(self._camera.focal * 0.02 / max(self._camera.distance, 1e-9)))
+        widths = _widths(beams.reshape(-1, 2, 2), width).reshape(-1, 3).tolist()
         for i in np.flatnonzero(visible.all(axis=-1)).tolist():
             order = np.argsort(-rotor_depth[i]).tolist()
             outlines = [(k, rotors[i, k].tolist()) for k in order]
-            frame = (hubs[i].tolist(), hulls[i].tolist(), noses[i].tolist())
-            arguments = (frame, outlines, style.vehicle(i), bool(from_above[i]), max(2, int(width)))
+            frame = (beams[i].tolist(), widths[i], hulls[i].tolist())
+            arguments = (frame, outlines, style.vehicle(i), bool(from_above[i]))
             self._tasks.append((float(depth[i]), self._vehicle, arguments))
 
     def _vehicle(
@@ -172,47 +178,52 @@ class Painter:
         rotors: list[tuple[int, Any]],
         colour: Colour,
         from_above: bool,
-        width: int,
     ) -> None:
         """A cross with four discs; the front two are the darker. What is behind is drawn first."""
         if not from_above:
-            self._frame(frame, colour, width)
+            self._frame(frame, colour)
         for k, outline in rotors:
             self._disc(outline, colour, 150 if k < 2 else 70, 0.85)
         if from_above:
-            self._frame(frame, colour, width)
+            self._frame(frame, colour)
 
-    def _frame(self, frame: tuple[Any, Any, Any], colour: Colour, width: int) -> None:
-        hubs, hull, nose = frame
+    def _frame(self, frame: tuple[Any, Any, Any], colour: Colour) -> None:
+        beams, widths, hull = frame
         dark = style.mix(colour, style.INK, 0.45)
-        for a, b in ((0, 2), (1, 3)):
-            self._line(hubs[a], hubs[b], dark, width)
+        tints = (dark, dark, style.INK) if self._fine else (dark, dark)
+        for (a, b), tint, width in zip(beams, tints, widths, strict=False):
+            pygame.draw.line(self._canvas, tint, a, b, width)
         if not self._fine:
             return
-        middle = [sum(corner[axis] for corner in hull) / len(hull) for axis in (0, 1)]
-        self._line(middle, nose, style.INK, width)
         pygame.draw.polygon(self._canvas, colour, hull)
         pygame.draw.lines(self._canvas, dark, True, hull, 2)
 
     # -- on the canvas ----------------------------------------------------------------------------
 
     def _add_lines(self, pieces: Floats, colours: Floats, strength: Floats, widths: Any) -> None:
-        """Queue lines `(m, 2, 3)`, blended with the floor behind them."""
+        """Have lines `(m, 2, 3)` drawn in their turn, blended with the floor behind them."""
+        self._pieces.append((pieces, colours, strength, widths))
+
+    def _queue_lines(self) -> None:
+        """Queue the lines that have been added, all at once."""
+        pieces, colours, strength, widths = map(np.concatenate, zip(*self._pieces, strict=True))
         pixels, visible = self._pixels(pieces)
         shown = self._shown(pixels, visible)
         depth = self._depth(pieces[shown].mean(axis=1))
         pixels = pixels[shown]
         tints = self._tint(colours[shown], strength[shown], pixels.mean(axis=1)[:, 1])
-        for far, ends, tint, width in zip(
-            depth.tolist(), pixels.tolist(), tints, widths[shown].tolist(), strict=True
+        widths = _widths(pixels, widths[shown])
+        for far, (a, b), tint, width in zip(
+            depth.tolist(), pixels.tolist(), tints, widths.tolist(), strict=True
         ):
-            self._tasks.append((far, self._line, (ends[0], ends[1], tint, width)))
+            self._tasks.append((far, pygame.draw.line, (self._canvas, tint, a, b, width)))
 
-    def _line(self, a: Any, b: Any, colour: Any, width: int) -> None:
-        # pygame measures the width of a slanted line along an axis, not across the line.
-        dx, dy = abs(b[0] - a[0]), abs(b[1] - a[1])
-        across = max(dx, dy) / (hypot(dx, dy) or 1.0)
-        pygame.draw.line(self._canvas, colour, a, b, round(width / (across or 1.0)))
+    def _lines(self, lines: Any, colours: Iterable[Any], widths: Any) -> None:
+        """Draw lines `(m, 2, 2)` px at once."""
+        for (a, b), colour, width in zip(
+            lines.tolist(), colours, _widths(lines, widths).tolist(), strict=False
+        ):
+            pygame.draw.line(self._canvas, colour, a, b, width)
 
     def _disc(self, outline: Any, colour: Colour, alpha: int, rim: float) -> None:
         gfxdraw.filled_polygon(self._canvas, outline, (*colour, alpha))
@@ -238,3 +249,22 @@ class Painter:
             colours, strength, rows, self._large[1]
         ).tolist()
         return tinted
+
+
+def _bands(size: tuple[int, int]) -> list[tuple[list[int], tuple[int, int, int, int]]]:
+    """The floor's colours from the top to the bottom of a canvas, and the areas of one colour."""
+    rows = np.rint(style.ground(np.arange(float(size[1])), size[1])).astype(int)
+    changes = np.flatnonzero((rows[1:] != rows[:-1]).any(axis=1)) + 1
+    edges = [0, *changes.tolist(), size[1]]
+    return [(rows[a].tolist(), (0, a, size[0], b - a)) for a, b in pairwise(edges)]
+
+
+def _widths(lines: Any, widths: Any) -> Any:
+    """What pygame is to be told so that `lines` `(m, 2, 2)` px get these `widths`.
+
+    It measures the width of a slanted line along an axis, not across the line.
+    """
+    along = np.abs(lines[:, 1] - lines[:, 0])
+    longest = np.maximum(along.max(axis=1), 1)
+    slant = np.hypot(along[:, 0], along[:, 1]) / longest
+    return np.rint(widths * np.maximum(slant, 1.0)).astype(np.int64)

@@ -12,7 +12,7 @@ from baselines import files
 from baselines.files import Card, Network
 from baselines.policies.learned import require_fit
 from baselines.system.writing import claim
-from formation_env._jit import untold
+from formation_env._compiling import untold
 from formation_env.validation.checks import require
 from train import checkpoint
 from train.checkpoint_contents import Arrays, fact, resumed_options
