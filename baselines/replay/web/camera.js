@@ -80,10 +80,11 @@ export class Orbit {
     return a && b ? Math.hypot(a.x - b.x, a.y - b.y) : 0;
   }
 
-  // Put a camera where a ball of `radius` m around `target` (north, east, down) fits; returns its distance.
-  place(camera, target, radius, aspect) {
+  // Put a camera where a ball of `radius` m around `target` (north, east, down) fits into a view of `width` and
+  // `height` pixels below the topmost `inset`; returns its distance from it.
+  place(camera, target, radius, width, height, inset) {
     const half = THREE.MathUtils.degToRad(FIELD / 2);
-    const narrow = Math.atan(Math.tan(half) * Math.min(1, aspect));
+    const narrow = Math.atan((Math.tan(half) * Math.min(height - inset, width)) / height);
     const distance = radius / Math.sin(narrow) / this.zoom;
     this.distance = distance;
     const [north, east, down] = target.map((x, k) => x + this.pan[k]);
@@ -94,7 +95,8 @@ export class Orbit {
       -north + distance * level * Math.cos(this.azimuth),
     );
     camera.fov = FIELD;
-    camera.aspect = aspect;
+    camera.aspect = width / height;
+    camera.setViewOffset(width, height, 0, -inset / 2, width, height);
     camera.near = distance / 60;
     camera.far = distance * 40;
     camera.lookAt(east, -down, -north);

@@ -48,7 +48,20 @@ export class Flight {
     }
     this.lyapunov = of("lyapunov") ? of("lyapunov").values : null;
     const first = this.started.indexOf(1);
+    this.trailing = this.trailSeconds();
     this.trigger = first > 0 ? this.times[first] : null;
+  }
+
+  // How long trails are, s: as far as four times the formation's size, at the leader's mean speed.
+  trailSeconds() {
+    const n = 3 * this.vehicles;
+    let way = 0;
+    for (let j = 1; j < this.instants; j++) {
+      const k = n * j;
+      way += Math.hypot(...[0, 1, 2].map((axis) => this.positions[k + axis] - this.positions[k - n + axis]));
+    }
+    const speed = way / Math.max(this.last, 1e-6);
+    return Math.min(6, Math.max(1.2, (4 * Math.max(...this.offsets)) / Math.max(speed, 1e-6)));
   }
 
   // Index of the last instant that is not later than t.

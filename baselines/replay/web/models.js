@@ -163,8 +163,8 @@ export class Shadow {
   show(p, at, size) {
     const height = Math.max(0, -p[at + 2]);
     this.mesh.position.set(p[at], p[at + 1], -0.002);
-    this.mesh.scale.setScalar((0.5 + 0.12 * height) * size);
-    this.material.uniforms.strength.value = 0.42 / (1 + 0.25 * height);
+    this.mesh.scale.setScalar((0.5 + 0.08 * height) * size);
+    this.material.uniforms.strength.value = 0.3 / (1 + 0.35 * height);
   }
 }
 

@@ -25,13 +25,13 @@ export class Panel {
       return plot;
     };
     this.errors = make("Slot error", "m", { low: 0 });
-    this.separations = make("Distance to the nearest vehicle", "m", {
+    this.separations = make("To the nearest vehicle", "m", {
       low: 0,
       limit: { value: collision, name: `collision below ${collision.toFixed(2)} m` },
     });
-    this.distances = make("Distance to the leader", "m", { low: 0 });
+    this.distances = make("To the leader", "m", { low: 0 });
     this.actions = make("Action", "of −1 … 1", { least: 0.1 });
-    this.lyapunov = make("Lyapunov functions", "", { log: true });
+    this.lyapunov = make("Lyapunov", "", { log: true });
     this.plots = [this.errors, this.separations, this.distances, this.actions, this.lyapunov];
     this.addLogarithm();
     this.addEntries();
@@ -67,11 +67,13 @@ export class Panel {
   }
 
   addChoices() {
-    const names = ["Policies compared", ...this.flights.map((flight) => flight.policy)];
+    const names = ["Compare", ...this.flights.map((flight, k) => `${letter(k)} ${flight.policy}`)];
     names.forEach((name, k) => {
       const button = document.createElement("button");
       button.type = "button";
-      button.textContent = name;
+      button.className = "chip";
+      button.title = k ? `The followers of ${name}` : "All policies in the same plots";
+      button.append(name);
       button.addEventListener("click", () => this.choose(k === 0 ? null : k - 1));
       this.choices.append(button);
     });
@@ -87,7 +89,7 @@ export class Panel {
   // Follower `number`, from 1, stands out, or none; a second time takes it back.
   toggle(number) {
     this.highlight = this.highlight === number ? null : number;
-    this.highlighted(this.chosen === null ? null : this.highlight);
+    this.highlighted(this.highlight);
     this.fill();
   }
 
@@ -105,8 +107,7 @@ export class Panel {
     if (this.chosen === null) this.fillCompared();
     else this.fillFollowers(flight);
     this.drawLegend();
-    const own = this.highlight === null ? null : this.highlight - 1;
-    const number = own !== null && this.chosen === null ? ofPolicy(own) : own;
+    const number = this.highlight === null ? null : this.highlight - 1;
     this.plots.forEach((plot) => plot.setHighlight(plot === this.lyapunov && this.chosen !== null ? null : number));
   }
 
@@ -115,7 +116,7 @@ export class Panel {
       rows.map((values, i) => ({ name: `follower ${i + 1}`, mark: String(i + 1), number: i, times: flight.times, values }));
     this.errors.setTitle("Slot error", "m");
     this.errors.setSeries(lines(flight.errors()));
-    this.separations.setTitle("Distance to the nearest vehicle", "m");
+    this.separations.setTitle("To the nearest vehicle", "m");
     this.separations.setSeries(lines(flight.separations()));
     this.distances.element.hidden = false;
     this.distances.setSeries(lines(flight.leaderDistances()));
@@ -127,7 +128,7 @@ export class Panel {
     if (!flight.lyapunov) return;
     const own = this.highlight;
     this.lyapunov.setTitle(
-      "Lyapunov functions",
+      "Lyapunov",
       own === null ? (flight.followers > 1 ? "mean" : "") : `follower ${own}`,
     );
     this.lyapunov.setSeries(
@@ -147,13 +148,13 @@ export class Panel {
         times: flight.times,
         values: of(flight),
       }));
-    this.errors.setTitle("Slot error", "m, root mean square");
+    this.errors.setTitle("Slot error", "m, RMS");
     this.errors.setSeries(lines((flight) => meanSquare(flight.errors())));
-    this.separations.setTitle("Smallest distance of two vehicles", "m");
+    this.separations.setTitle("Closest two vehicles", "m");
     this.separations.setSeries(lines((flight) => least(flight.separations())));
     this.distances.element.hidden = true;
     this.select.hidden = true;
-    this.actions.setTitle("Effort", "root mean square action");
+    this.actions.setTitle("Effort", "RMS of the actions");
     this.actions.options.low = 0;
     this.actions.setSeries(
       lines((flight) => meanSquare(flight.entries.flatMap((_, entry) => flight.commands(entry)))),
@@ -166,27 +167,27 @@ export class Panel {
     );
   }
 
+  // The followers' names, which are pressed; of policies the names are those to choose from.
   drawLegend() {
-    const entries =
-      this.chosen === null
-        ? this.flights.map((flight, k) => [letter(k), flight.policy])
-        : Array.from({ length: this.flights[this.chosen].followers }, (_, i) => [String(i + 1), `follower ${i + 1}`]);
+    [...this.choices.children].slice(1).forEach((button, k) => {
+      button.querySelector("svg")?.remove();
+      button.prepend(sample(ofPolicy(k), this.colours));
+    });
+    const count = this.chosen === null ? 0 : this.flights[this.chosen].followers;
+    this.legend.hidden = count < 2;
     this.legend.replaceChildren(
-      ...entries.map(([mark, name], k) => {
+      ...Array.from({ length: count }, (_, i) => {
         const chip = document.createElement("button");
         chip.type = "button";
         chip.className = "chip";
-        chip.title = `Make ${name} stand out`;
-        chip.setAttribute("aria-pressed", String(this.highlight === k + 1));
-        chip.append(sample(this.chosen === null ? ofPolicy(k) : k, this.colours));
-        const text = document.createElement("span");
-        text.textContent = this.chosen === null ? `${mark} ${name}` : entries.length > 6 ? mark : name;
-        chip.append(text);
-        chip.addEventListener("click", () => this.toggle(k + 1));
+        chip.title = `Make follower ${i + 1} stand out`;
+        chip.setAttribute("aria-label", `follower ${i + 1}`);
+        chip.setAttribute("aria-pressed", String(this.highlight === i + 1));
+        chip.append(sample(i, this.colours), count > 6 ? String(i + 1) : `follower ${i + 1}`);
+        chip.addEventListener("click", () => this.toggle(i + 1));
         return chip;
       }),
     );
-    this.legend.hidden = entries.length < 2;
   }
 
   paint(colours) {
@@ -196,7 +197,7 @@ export class Panel {
   }
 
   setTime(t) {
-    this.plots.forEach((plot) => plot.element.hidden || plot.setTime(t));
+    this.plots.forEach((plot) => plot.setTime(t));
   }
 }
 

@@ -19,6 +19,7 @@ export class TimePlot {
     this.span = [0, 1];
     this.time = 0;
     this.colours = null;
+    this.scale = null;
     this.element = document.createElement("figure");
     this.element.className = "plot";
     this.element.innerHTML =
@@ -139,6 +140,7 @@ export class TimePlot {
     if (!this.colours || !this.area.clientWidth) return;
     const { g, width, height } = this.context(this.lines);
     const s = this.scales(width, height);
+    this.scale = s;
     this.drawAxes(g, s);
     g.save();
     g.beginPath();
@@ -225,20 +227,21 @@ export class TimePlot {
       if (k > 0) end.y = Math.max(end.y, ends[k - 1].y + 11);
     });
     const over = Math.max(0, (ends.length ? ends[ends.length - 1].y : 0) - s.bottom - 2);
+    ends.forEach((end) => (end.y = Math.max(end.y - over, MARGIN.top + 3)));
     g.font = `600 ${FONT}`;
     g.textAlign = "left";
     g.textBaseline = "middle";
     for (const { mark, number, x, y } of ends) {
       g.fillStyle = colourOf(number, this.colours);
-      g.fillText(mark, x, y - over);
+      g.fillText(mark, x, y);
     }
     g.font = FONT;
   }
 
   drawCursor() {
-    if (!this.colours || !this.area.clientWidth) return;
-    const { g, width, height } = this.context(this.cursor);
-    const s = this.scales(width, height);
+    if (!this.scale || !this.area.clientWidth) return;
+    const { g } = this.context(this.cursor);
+    const s = this.scale;
     const x = s.x(Math.min(this.span[1], Math.max(this.span[0], this.time)));
     g.lineWidth = 1.5;
     stroke(g, this.colours.ink, [[x, MARGIN.top - 4], [x, s.bottom]]);

@@ -6,7 +6,6 @@ import { Panel, letter, sample } from "./panel.js";
 import { makeStage } from "./scene.js";
 import { Theme } from "./theme.js";
 
-const TRAIL = 6; // s
 const find = (id) => document.getElementById(id);
 
 async function start() {
@@ -94,7 +93,7 @@ class Replay {
       cell.className = "view";
       cell.setAttribute("aria-label", `Flight of ${flight.policy}`);
       cell.innerHTML =
-        '<div class="view-card"><h2></h2><p class="figures"></p><p class="end" hidden></p></div>' +
+        '<div class="view-card" data-inset><h2></h2><p class="figures"></p><p class="end" hidden></p></div>' +
         '<p class="waiting" hidden>waiting for the trigger</p>';
       const title = cell.querySelector("h2");
       if (this.flights.length > 1) title.append(sample(ofPolicy(number), null), `${letter(number)} `);
@@ -110,6 +109,7 @@ class Replay {
       this.stage = null;
       find("no-webgl").hidden = false;
       find("compass").hidden = true;
+      find("stage").classList.add("flat");
     }
     this.views = this.flights.map((flight, number) => {
       if (!this.stage) return null;
@@ -261,10 +261,10 @@ class Replay {
     find("time").textContent = text;
     find("length").textContent = `/ ${this.last.toFixed(1)} s`;
     this.flights.forEach((flight, number) => {
-      const state = flight.state(time, TRAIL);
+      const state = flight.state(time, flight.trailing);
       const cell = this.cells[number];
       cell.querySelector(".end").hidden = !state.ended;
-      cell.querySelector(".waiting").hidden = state.started;
+      cell.querySelector(".waiting").hidden = state.started || state.ended;
       cell.classList.toggle("over", time > flight.last + 1e-6);
       this.views[number]?.show(state);
     });

@@ -1,7 +1,8 @@
 // The 3-D scene: a stage draws one or more views into one canvas, all seen from the same side.
 //
 //   const stage = makeStage(canvas);                  // throws where there is no WebGL
-//   const view = stage.addView(element, followers);   // `element` lies over the canvas and is its place
+//   const view = stage.addView(element, followers);   // `element` lies over the canvas and is its place;
+//                                                     // a part of it with `data-inset` keeps its room
 //   view.setPath(points);                             // the leader's path, north east down north east ...
 //   view.show(state); stage.render();
 //
@@ -16,7 +17,7 @@ import { Ribbon } from "./ribbons.js";
 
 const TRAIL = 160; // points
 const LABELLED = 40; // vehicles, at most
-const SMALLEST = 0.0042; // of the distance, an arm that is drawn larger than it is
+const SMALLEST = 0.005; // of the distance, an arm that is drawn larger than it is
 
 export function makeStage(canvas, changed = () => {}) {
   return new Stage(canvas, changed);
@@ -143,11 +144,12 @@ class View {
   setPath(points) {
     if (this.path) this.world.remove(this.path.mesh);
     const count = points.length / 3;
-    this.path = new Ribbon(Math.max(2, count), { width: 1.4, dash: 0.16, strength: 0.75 });
+    this.extent = ball(count, (k) => points.subarray(3 * k, 3 * k + 3));
+    const dash = Math.max(0.12, 0.06 * this.extent.radius);
+    this.path = new Ribbon(Math.max(2, count), { width: 1.4, dash, strength: 0.75 });
     this.path.draw(count, (k) => points.subarray(3 * k, 3 * k + 3));
     this.path.colour = this.stage.colours.path;
     this.world.add(this.path.mesh);
-    this.extent = ball(count, (k) => points.subarray(3 * k, 3 * k + 3));
   }
 
   // One moment; see the top of the file.
@@ -161,22 +163,28 @@ class View {
     const { follow } = this.stage;
     const n = this.followers;
     const at = (k) => (k <= n ? positions.subarray(3 * k, 3 * k + 3) : slots.subarray(3 * (k - n - 1), 3 * (k - n)));
-    if (follow === "path" && this.extent) return { ...this.extent, radius: this.extent.radius + 0.6 };
+    if (follow === "path" && this.extent) return { ...this.extent, radius: 0.85 * this.extent.radius + 0.5 };
     const formation = ball(2 * n + 1, at);
-    const least = 0.75;
+    const least = 0.68;
     if (Number.isInteger(follow) && follow <= n) return { middle: [...at(follow)], radius: least };
-    return { ...formation, radius: Math.max(least, 1.05 * formation.radius + 0.2) };
+    return { ...formation, radius: Math.max(least, 1.05 * formation.radius + 0.12) };
   }
 
   render(width, height) {
     if (!this.state || !width || !height) return;
     const { middle, radius } = this.focus();
-    const distance = this.stage.orbit.place(this.camera, middle, radius, width / height);
+    const distance = this.stage.orbit.place(this.camera, middle, radius, width, height, this.inset(height));
     this.spacing = this.floor.show(middle[0], middle[1], distance);
     this.size = Math.max(1, (SMALLEST * distance) / ARM);
     this.arrange(this.size);
     this.stage.renderer.render(this.scene, this.camera);
     this.placeLabels(width, height);
+  }
+
+  // Pixels at the top that what lies over the view takes, so that the vehicles are below it.
+  inset(height) {
+    const card = this.element.querySelector("[data-inset]");
+    return card ? Math.min(card.offsetTop + card.offsetHeight, 0.3 * height) : 0;
   }
 
   arrange(size) {
@@ -201,13 +209,16 @@ class View {
   placeLabels(width, height) {
     const point = new THREE.Vector3();
     const { positions, failure } = this.state;
+    const taken = [];
     this.labels.forEach((label, i) => {
       const above = (i === 0 ? 0.2 : 0.11) * this.size;
       point.set(positions[3 * i + 1], above - positions[3 * i + 2], -positions[3 * i]).project(this.camera);
       const [x, y] = [(0.5 + 0.5 * point.x) * width, (0.5 - 0.5 * point.y) * height];
-      const hidden = point.z > 1 || x < -20 || y < -20 || x > width + 20 || y > height + 20;
-      label.hidden = hidden;
-      if (hidden) return;
+      const outside = point.z > 1 || x < -20 || y < -20 || x > width + 20 || y > height + 20;
+      // Of labels that would cover one another the first is shown.
+      label.hidden = outside || taken.some((other) => Math.hypot(other[0] - x, other[1] - y) < 14);
+      if (label.hidden) return;
+      taken.push([x, y]);
       label.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px) translate(-50%, calc(-100% - 3px))`;
       label.classList.toggle("failed", i > 0 && failure !== null && failure[i - 1] !== 0);
       label.classList.toggle("faded", this.stage.highlight !== null && i !== 0 && i !== this.stage.highlight);
