@@ -16,12 +16,23 @@ from types import ModuleType
 from typing import Any, final
 
 from baselines.replay.archive import read, write
+from baselines.replay.command import main, parser
 from baselines.replay.episode import Episode
 from baselines.replay.flights import Replay, replay
 from baselines.replay.recording import Recorder
 from baselines.replay.table import write as write_table
 
-__all__ = ["Episode", "Recorder", "Replay", "read", "replay", "write", "write_table"]
+__all__ = [
+    "Episode",
+    "Recorder",
+    "Replay",
+    "main",
+    "parser",
+    "read",
+    "replay",
+    "write",
+    "write_table",
+]
 
 
 @final

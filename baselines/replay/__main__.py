@@ -1,8 +1,9 @@
-"""`python -m baselines.replay`."""
+"""Runs the command: `python -m baselines.replay`."""
+
+from __future__ import annotations
 
 import sys
 
 from baselines.replay.command import main
 
-if __name__ == "__main__":
-    sys.exit(main())
+sys.exit(main())

@@ -26,7 +26,7 @@ EXAMPLES = """\
   formation-replay --policies mine.py:MyPolicy --action rates
   formation-replay --set followers=6 --set duration=20
   formation-replay --record flight.npz --csv flight.csv
-      a flight of your own loop, see `python -c "help('baselines.replay.recording')"`
+      a flight of your own loop, recorded as `baselines.replay.Recorder` does
 """
 
 

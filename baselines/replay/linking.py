@@ -14,7 +14,7 @@ from __future__ import annotations
 import re
 from importlib.resources import files
 
-_IMPORT = re.compile(r'^import \{ ([\w, ]+) \} from "\./([\w-]+\.js)";$', re.MULTILINE)
+_IMPORT = re.compile(r'^import \{ (\w+(?:, \w+)*) \} from "\./([\w-]+\.js)";$', re.MULTILINE)
 _THREE = re.compile(r'^import \* as THREE from "three";$', re.MULTILINE)
 _EXPORT = re.compile(r"^export (async function|function|const|class) (\w+)", re.MULTILINE)
 _LEFT = re.compile(r"^\s*(?:import\b|export\b).*$", re.MULTILINE)
@@ -31,16 +31,18 @@ def linked(main: str) -> str:
     Raises `ValueError` naming a module with an import or export of another form.
     """
     order: list[str] = []
-    _visit(main, order)
+    _visit(main, order, ())
     parts = [_wrapped(name) for name in order]
     return '(() => {\n"use strict";\nconst modules = {};\n' + "\n".join(parts) + "\n})();\n"
 
 
-def _visit(name: str, order: list[str]) -> None:
-    """The modules that one needs, and then itself."""
+def _visit(name: str, order: list[str], above: tuple[str, ...]) -> None:
+    """The modules that one needs, and then itself; `above` are those that need it."""
+    if name in above:
+        raise ValueError(f"{name}: imports itself by way of {', '.join(above)}")
     for _, other in _IMPORT.findall(text_of(name)):
         if other not in order:
-            _visit(other, order)
+            _visit(other, order, (*above, name))
     if name not in order:
         order.append(name)
 

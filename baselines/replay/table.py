@@ -1,6 +1,6 @@
-"""A recorded episode as CSV: a row for every instant and vehicle.
+"""A recorded episode as CSV: a row for every instant and vehicle, its columns in `COLUMNS`.
 
-`COLUMNS` says what they are. An entry that does not exist is empty: a leader has no slot, and at the last
+An entry that does not exist is empty: a leader has no slot, and at the last
 instant nothing is commanded any more. Numbers are written so that reading them gives the same floats.
 """
 
@@ -11,7 +11,7 @@ import io
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from baselines.replay.episode import Episode
 from baselines.replay.lyapunov import NAMES
@@ -19,43 +19,46 @@ from baselines.system.reading import file_name
 from baselines.system.writing import write_text
 
 
-def _axes(name: str, unit: str, meaning: str, axes: str = "xyz") -> dict[str, tuple[str, str]]:
-    return {f"{name}_{axis}": (unit, f"{meaning}, {axis}") for axis in axes}
+class Column(NamedTuple):
+    """One column, or one for each axis."""
+
+    unit: str
+    meaning: str
+    axes: str = ""
 
 
-# Unit and meaning of each column; `action_0` and so on follow, as many as the action level has.
-COLUMNS: dict[str, tuple[str, str]] = {
-    "time": ("s", "time since reset"),
-    "vehicle": ("-", "`leader`, `follower_0`, `follower_1`, ..."),
-    "started": ("-", "1 once the trigger (40) has fired, else 0"),
-    **_axes("position", "m", "true position, inertial (north, east, down)"),
-    **_axes("velocity", "m/s", "true velocity, inertial"),
-    **_axes("attitude", "1", "true attitude, unit quaternion, body to inertial", "wxyz"),
-    **_axes("angular_velocity", "rad/s", "true angular velocity, body"),
-    **_axes("slot", "m", "where the follower should be, inertial"),
-    "slot_error": ("m", "distance from the slot"),
-    "reward": ("1", "of the tick that begins at this instant"),
-    **{
-        name: (unit, f"Lyapunov function {meaning}, as the paper's expert measures it")
-        for name, unit, meaning in zip(
-            NAMES,
-            ("m^2", "m^2", "1", "1"),
-            (
-                "(8) of the planner",
-                "(12) of the planner",
-                "(63) of the tracker",
-                "(66) of the tracker",
-            ),
-            strict=True,
-        )
-    },
+def _law(unit: str, meaning: str) -> Column:
+    return Column(unit, f"Lyapunov function {meaning}, as the paper's expert measures it")
+
+
+# All but the action's entries, `action_0` and so on, as many as the level has.
+COLUMNS = {
+    "time": Column("s", "time since reset"),
+    "vehicle": Column("-", "`leader`, `follower_0`, `follower_1`, ..."),
+    "started": Column("-", "1 once the trigger (40) has fired, else 0"),
+    "position": Column("m", "true position, inertial (north, east, down)", "xyz"),
+    "velocity": Column("m/s", "true velocity, inertial", "xyz"),
+    "attitude": Column("1", "true attitude, unit quaternion, body to inertial", "wxyz"),
+    "angular_velocity": Column("rad/s", "true angular velocity, body", "xyz"),
+    "slot": Column("m", "where the follower should be, inertial", "xyz"),
+    "slot_error": Column("m", "distance from the slot"),
+    "reward": Column("1", "of the tick that begins at this instant"),
+    "V1": _law("m^2", "(8) of the planner"),
+    "V2": _law("m^2", "(12) of the planner"),
+    "V3": _law("1", "(63) of the tracker"),
+    "V4": _law("1", "(66) of the tracker"),
 }
-ACTION = ("1", "entry of the action in [-1, 1] that is executed from this instant on")
+ACTION = Column("1", "entry of the action in [-1, 1] that is executed from this instant on")
+
+
+def _names(name: str, column: Column) -> list[str]:
+    return [f"{name}_{axis}" for axis in column.axes] or [name]
 
 
 def columns(episode: Episode) -> tuple[str, ...]:
     """The names of the columns, in order."""
-    return (*COLUMNS, *(f"action_{i}" for i in range(episode.config.action_size)))
+    fixed = (each for name, column in COLUMNS.items() for each in _names(name, column))
+    return (*fixed, *(f"action_{i}" for i in range(episode.config.action_size)))
 
 
 def rows(episode: Episode) -> Iterator[list[Any]]:
@@ -93,6 +96,8 @@ def write(episode: Episode, path: str | os.PathLike[str]) -> Path:
 
 def described() -> str:
     """The columns as a Markdown table, for the manual."""
-    listed = {**COLUMNS, "action_0, ...": ACTION}
-    lines = [f"| `{name}` | {unit} | {meaning} |" for name, (unit, meaning) in listed.items()]
-    return "\n".join(["| column | unit | meaning |", "|---|---|---|", *lines])
+    lines = ["| column | unit | meaning |", "|---|---|---|"]
+    for name, column in {**COLUMNS, "action_0, ...": ACTION}.items():
+        names = ", ".join(f"`{each}`" for each in _names(name, column))
+        lines.append(f"| {names} | {column.unit} | {column.meaning} |")
+    return "\n".join(lines)

@@ -46,8 +46,8 @@ export class Clock {
 
   frame(now) {
     if (!this.playing) return;
-    // A hidden page stands still for longer than a picture takes.
-    const passed = Math.min(0.1, Math.max(0, (now - this.before) / 1000));
+    // A page that was hidden goes on where it was; slow machines take up to so long for a picture.
+    const passed = Math.min(0.5, Math.max(0, (now - this.before) / 1000));
     this.before = now;
     this.set(this.time + passed * this.speed);
     if (this.time >= this.last) this.pause();
