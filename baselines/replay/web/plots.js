@@ -92,9 +92,9 @@ export class TimePlot {
     }
     if (!(low <= high)) [low, high] = [this.options.log ? 0.1 : 0, 1];
     if (this.options.log) {
-      // Six decades at most: what is below is as good as zero.
+      // Eight decades at most: what is below is as good as zero.
       const top = Math.ceil(Math.log10(high) + 1e-6);
-      return [10 ** Math.max(Math.floor(Math.log10(low)), top - 6), 10 ** top];
+      return [10 ** Math.max(Math.floor(Math.log10(low)), top - 8), 10 ** top];
     }
     const { limit, least } = this.options;
     if (limit) high = Math.max(high, limit.value * 1.15);
@@ -261,16 +261,19 @@ export class TimePlot {
     const known = this.series.map((each, k) => ({ ...each, value: values[k] })).filter((x) => Number.isFinite(x.value));
     const chosen = known.filter((x) => this.highlight === null || x.number === this.highlight);
     const shown = chosen.length <= 4 ? chosen : [];
-    const parts = shown.map(
-      ({ mark, number, value }) =>
-        `<span style="color:${colourOf(number, this.colours)}"><b>${escaped(mark)}</b> ${shortened(value, shown.length > 3 ? 2 : 3)}</span>`,
-    );
+    const parts = shown.map(({ mark, number, value }) => ({
+      mark,
+      text: shortened(value, shown.length > 3 ? 2 : 3),
+      colour: colourOf(number, this.colours),
+    }));
     if (!shown.length && chosen.length) {
       const all = chosen.map((x) => x.value);
-      parts.push(`${shortened(Math.min(...all), 3)} … ${shortened(Math.max(...all), 3)}`);
+      parts.push({ mark: "", text: `${shortened(Math.min(...all))} … ${shortened(Math.max(...all))}`, colour: "inherit" });
     }
-    const text = parts.join(" ");
-    if (text !== this.shown) this.readout.innerHTML = this.shown = text;
+    const text = JSON.stringify(parts);
+    if (text === this.shown) return;
+    this.shown = text;
+    this.readout.replaceChildren(...parts.map(valueElement));
   }
 
   describe() {
@@ -310,12 +313,18 @@ function decades(low, high) {
 export function shortened(v, digits = 3) {
   if (v === 0 || Math.abs(v) < 1e-12) return "0";
   const size = Math.abs(v);
-  if (size < 0.001 || size >= 1e5) return v.toExponential(0).replace("e+", "e").replace("-", "−");
+  if (size < 0.001 || size >= 1e5) return v.toExponential(0).replace("e+", "e").replaceAll("-", "−");
   return String(Number(v.toPrecision(digits))).replace("-", "−");
 }
 
-function escaped(text) {
-  return text.replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
+// A mark and a value in a colour.
+function valueElement({ mark, text, colour }) {
+  const element = document.createElement("span");
+  element.style.color = colour;
+  const bold = document.createElement("b");
+  bold.textContent = mark;
+  element.append(bold, ` ${text} `);
+  return element;
 }
 
 // The value at the last instant that is not later than t; NaN after the end.

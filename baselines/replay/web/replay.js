@@ -76,13 +76,12 @@ class Replay {
   figures(flight) {
     const { score, slot_error: error, min_separation: separation } = flight.metrics;
     const of = this.common;
-    const words = [
+    return [
       of.scenario && of.action ? null : `${flight.scenario}:${flight.action}`,
       `score ${score.toFixed(2)}`,
       `slot error ${error.toFixed(error < 0.1 ? 3 : 2)} m`,
       separation === null ? null : `nearest ${separation.toFixed(2)} m`,
-    ];
-    return words.filter(Boolean).join(" · ");
+    ].filter(Boolean);
   }
 
   // -- views -------------------------------------------------------------------------------------
@@ -98,7 +97,11 @@ class Replay {
       const title = cell.querySelector("h2");
       if (this.flights.length > 1) title.append(sample(ofPolicy(number), null), `${letter(number)} `);
       title.append(flight.policy);
-      cell.querySelector(".figures").textContent = this.figures(flight);
+      this.figures(flight).forEach((text, k) => {
+        const words = document.createElement("span");
+        words.textContent = k ? ` · ${text}` : text;
+        cell.querySelector(".figures").append(words);
+      });
       cell.querySelector(".end").textContent = flight.end ?? "";
       find("stage").append(cell);
       return cell;
