@@ -1,4 +1,4 @@
-"""Policies to compare with, their evaluation, and the paper's figures redone."""
+"""Policies to compare with, their evaluation, flights to look at, and the paper's figures redone."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +10,7 @@ from baselines.registry import METHODS, POLICIES, make_policy
 
 if TYPE_CHECKING:
     from baselines.evaluate import evaluate as evaluate
+    from baselines.replay import replay as replay
 
 __all__ = [
     "METHODS",
@@ -21,13 +22,14 @@ __all__ = [
     "UntunedWarning",
     "evaluate",
     "make_policy",
+    "replay",
 ]
 
 
 def __getattr__(name: str) -> Any:
     # Not at the top: `python -m baselines.evaluate` runs the module anew. Importing it sets the attribute.
-    if name == "evaluate":
+    if name in ("evaluate", "replay"):
         import importlib
 
-        return importlib.import_module("baselines.evaluate")
+        return importlib.import_module(f"baselines.{name}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

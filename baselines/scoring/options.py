@@ -23,7 +23,7 @@ def _scenarios(text: str) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def _policies(text: str) -> list[str]:
+def read_policies(text: str) -> list[str]:
     """Names and paths; only commas divide them, since a path may have spaces."""
     names = [name for name in map(str.strip, text.split(",")) if name]
     for name in names or [text]:
@@ -65,7 +65,7 @@ def parser() -> Parser:
 def _add_what(own: Parser) -> None:
     """Options that decide what is flown."""
     add = own.add_argument
-    add("--policies", type=reader(_policies), default=argparse.SUPPRESS, metavar="NAMES",
+    add("--policies", type=reader(read_policies), default=argparse.SUPPRESS, metavar="NAMES",
         help=f"Policies to score, separated by commas: {', '.join(POLICIES)}; learned ones that are "
         f"shipped, {', '.join(METHODS)}; paths of *{SUFFIX} files; your own code as module:Name or "
         "file.py:Name. (default: all of these names that fly a chosen scenario)")  # fmt: skip
