@@ -99,13 +99,15 @@ class Recorder:
     def _tick(self, outputs: Floats, action: Any) -> None:
         """What the tick was, added to the score as the evaluation does."""
         s, config = self._simulation, self._config
+        window = window_ticks(config)
         rewards = outputs[:, COLUMNS["reward"].start]
         terminated = np.array([bool(self._failure.any())])
         truncated = np.array([s.ended(0) and not terminated[0]])
         add_tick(
             self._tally,
             len(self._slots),
-            window_ticks(config),
+            config.max_steps - window,
+            window,
             np.ones(1, dtype=np.bool_),
             s.started,
             s.leaders,
