@@ -27,7 +27,11 @@ extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.viewcode", "_ext.math
 exclude_patterns = ["_build", "_ext"]
 nitpicky = True
 # Without an inventory of other projects, which would have to be fetched, their names are no links.
-nitpick_ignore_regex = [("py:.*", r"(?!(formation_env|baselines|train)\.).*")]
+nitpick_ignore_regex = [
+    ("py:.*", r"(?!(formation_env|baselines|train)\.).*"),
+    # Two classes of one name, of which the reference has the other.
+    ("py:class", r"baselines\.scoring\.intervals\.Estimate"),
+]
 highlight_language = "none"
 default_role = "literal"
 

@@ -112,7 +112,7 @@ def _effect_pictures() -> str:
         for each in EFFECT_PICTURES
         if (PICTURES / f"{each.name}.png").exists()
     ]
-    cells = "\n".join(f":::{{container}} cell\n{x}\n:::" for x in shown_here)
+    cells = "\n".join(f":::{{container}}\n{x}\n:::" for x in shown_here)
     return f"::::{{container}} pictures\n{cells}\n::::"
 
 

@@ -8,6 +8,7 @@ ends the name of one documented object and of no other links to it.
 from __future__ import annotations
 
 import dataclasses
+from contextlib import suppress
 from typing import Any
 
 from docutils import nodes
@@ -19,6 +20,7 @@ from sphinx.application import Sphinx
 from sphinx.util.nodes import make_refnode
 
 from _ext.record_fields import field_table
+from formation_env.env import FormationEnv
 
 
 class Markdown(Directive):
@@ -45,15 +47,18 @@ def _is_record(kind: Any) -> bool:
 def _docstring(
     app: Sphinx, what: str, name: str, thing: Any, options: Any, lines: list[str]
 ) -> None:
-    if what == "class" and _is_record(thing) and thing.__module__.partition(".")[0] in OWN:
+    if thing is FormationEnv:
+        del lines[next(i for i, line in enumerate(lines) if line.startswith("## ")) :]
+        lines += ["The docstring's other parts are a page: [the environment](../environment.md)."]
+    if what == "class" and _is_record(thing):
+        # Of a record without a docstring NamedTuple and `dataclass` make one.
         if lines and lines[0].startswith(f"{thing.__name__}("):
-            lines[:] = []  # what `dataclass` writes where there is no docstring
-        lines += ["", *field_table(thing).splitlines()]
+            lines[:] = []
+        # One that is made by a call has no fields in the source.
+        with suppress(OSError):
+            lines += ["", *field_table(thing).splitlines()]
     if lines:
         lines[:] = [".. markdown::", "", *(f"   {line}" for line in lines), ""]
-
-
-OWN = ("formation_env", "baselines", "train")
 
 
 def _skip(app: Sphinx, what: str, name: str, thing: Any, skip: bool, options: Any) -> bool | None:
