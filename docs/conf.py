@@ -20,10 +20,17 @@ if _before is None:
 
 project = "Formation"
 author = "The Formation authors"
-copyright = author  # noqa: A001
+copyright = author
 version = release = formation_env.__version__
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.viewcode", "_ext.mathml", "_ext.pages", "_ext.reference"]
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.viewcode",
+    "_ext.mathml",
+    "_ext.pages",
+    "_ext.reference",
+]
 exclude_patterns = ["_build", "_ext"]
 nitpicky = True
 # Without an inventory of other projects, which would have to be fetched, their names are no links.

@@ -53,7 +53,9 @@ EFFECTS = (
          {"scenario": "paper", "followers": 6}, 1.2),
 )  # fmt: skip
 # Wide enough a figure eight for this wedge: nobody has to fly backwards.
-LARGE = Shot("formation", "", {"scenario": "swarm", "followers": 5, "duration": 30.0}, 28.8, "expert")
+LARGE = Shot(
+    "formation", "", {"scenario": "swarm", "followers": 5, "duration": 30.0}, 28.8, "expert"
+)
 
 
 def moving() -> Shot:

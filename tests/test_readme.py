@@ -58,9 +58,7 @@ def test_program_runs(program: Program, tmp_path: Path, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/start.md"])
-def test_the_first_program_flies_to_the_end(
-    page: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_first_program_flies_to_the_end(page: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Every reader's first run: the expert must not crash in it."""
     pages.run(pages.programs(ROOT / page)[0])
     assert "flew to the end" in capsys.readouterr().out
@@ -101,7 +99,9 @@ def test_extras_named_here_exist() -> None:
     assert {"test", "dev", "train", "ray"} <= extras <= set(project["optional-dependencies"])
 
 
-OTHERS = [ROOT / x for x in ("CONTRIBUTING.md", "CHANGELOG.md", "LEADERBOARD.md", "train/README.md")]
+OTHERS = [
+    ROOT / x for x in ("CONTRIBUTING.md", "CHANGELOG.md", "LEADERBOARD.md", "train/README.md")
+]
 
 
 @pytest.mark.parametrize(
@@ -126,7 +126,8 @@ def test_every_page_has_its_place_in_the_manual() -> None:
     listed = set()
     for path in (DOCS / "index.md", DOCS / "libraries/index.md", DOCS / "api/index.md"):
         for block in re.findall(r"^```\{toctree\}\n(.*?)^```$", TEXTS[path], re.M | re.S):
-            names = [line for line in block.splitlines() if line and not line.startswith(":")]
+            lines = [line for line in block.splitlines() if line and not line.startswith(":")]
+            names = [re.sub(r"^.+ <(.+)>$", r"\1", line) for line in lines]
             listed |= {path.parent / name for name in names}
     there = {path.with_suffix("") for path in [*pages.MANUAL, DOCS / "trained.md"]}
     there |= {path.with_suffix("") for path in (DOCS / "notebooks").glob("*.ipynb")}

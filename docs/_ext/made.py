@@ -8,12 +8,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from make_pictures import EFFECTS as EFFECT_PICTURES
+
 from _ext import record_fields
 from _ext.record_fields import field_table, shown, table
 from formation_env import SCENARIOS, FormationConfig
 from formation_env.config import PARTS, quietly
 from formation_env.env import FormationEnv
-from make_pictures import EFFECTS as EFFECT_PICTURES
 
 PICTURES = Path(__file__).resolve().parent.parent / "pictures"
 
@@ -76,10 +77,11 @@ def _scenarios() -> str:
     for name in NAMES:
         if name == "scenario" or not (other := _set_by(name)):
             continue
-        cells = [
-            _value(name, other[s], defaults[name]) if s in other else "" for s in SCENARIOS
-        ]
-        first = _value(name, defaults[name], defaults[name]) or "`" + type(defaults[name]).__name__ + "`"
+        cells = [_value(name, other[s], defaults[name]) if s in other else "" for s in SCENARIOS]
+        first = (
+            _value(name, defaults[name], defaults[name])
+            or "`" + type(defaults[name]).__name__ + "`"
+        )
         rows.append([f"`{name}`" + (" (followers)" if name == "offsets" else ""), first, *cells])
     return table(["field", "default", *(f"`{s}`" for s in SCENARIOS)], rows)
 

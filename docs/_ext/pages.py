@@ -54,7 +54,7 @@ def relinked(text: str, folder: str, page: str) -> str:
 
 
 def _read(app: Sphinx, docname: str, source: list[str]) -> None:
-    if not app.env.doc2path(docname).suffix == ".md":
+    if app.env.doc2path(docname).suffix != ".md":
         return
     page = f"{DOCS}/{docname}.md"
 

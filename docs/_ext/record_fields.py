@@ -37,7 +37,9 @@ def fields(kind: type) -> list[Field]:
         while before in alone:
             said.insert(0, alone[before])
             before -= 1
-        found.append(Field(name, _type(node.annotation), defaults.get(name, _EMPTY), " ".join(said)))
+        found.append(
+            Field(name, _type(node.annotation), defaults.get(name, _EMPTY), " ".join(said))
+        )
     return found
 
 
@@ -96,7 +98,9 @@ def shown(value: Any) -> str:
 def table(head: list[str], rows: list[list[str]]) -> str:
     """A table in Markdown."""
     lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(x.replace('|', chr(92) + '|') for x in row)} |" for row in lines)
+    return "\n".join(
+        f"| {' | '.join(x.replace('|', chr(92) + '|') for x in row)} |" for row in lines
+    )
 
 
 def field_table(kind: type, names: Any = None) -> str:

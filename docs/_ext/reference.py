@@ -76,7 +76,7 @@ def _names(app: Sphinx) -> dict[str, tuple[str, str, str]]:
         parts = full.split(".")
         for k in range(len(parts)):
             end = ".".join(parts[k:])
-            if "." in end or k == len(parts) - 1 and entry.objtype in ("class", "exception"):
+            if "." in end or (k == len(parts) - 1 and entry.objtype in ("class", "exception")):
                 found.setdefault(end, set()).add((entry.docname, entry.node_id, full))
     return {end: next(iter(places)) for end, places in found.items() if len(places) == 1}
 
@@ -85,7 +85,9 @@ def _link(app: Sphinx, doctree: nodes.document, docname: str) -> None:
     known = _names(app)
     for literal in list(doctree.findall(nodes.literal)):
         place = known.get(literal.astext().removesuffix("()"))
-        if place is None or _inside(literal, (nodes.reference, nodes.title, addnodes.desc_signature)):
+        if place is None or _inside(
+            literal, (nodes.reference, nodes.title, addnodes.desc_signature)
+        ):
             continue
         page, anchor, full = place
         here = literal.parent

@@ -14,14 +14,16 @@ import pytest
 pytest.importorskip("rl_zoo3")
 
 
+SHORT = ["--n-timesteps", "256", "--hyperparams", "n_steps:16", "batch_size:64", "n_envs:2"]
+
+
 def test_the_command_trains(tmp_path: Path) -> None:
     (block,) = pages.blocks(pages.DOCS / "libraries/rl-zoo3.md", "bash")
     command = shlex.split(block.splitlines()[-1])
     assert command[:2] == ["python", "-m"]
     command[command.index("logs")] = str(tmp_path)
     run = subprocess.run(
-        [sys.executable, *command[1:], "--n-timesteps", "256", "--hyperparams", "n_steps:16",
-         "batch_size:64", "n_envs:2"],  # fmt: skip
+        [sys.executable, *command[1:], *SHORT],
         cwd=pages.ROOT,
         env={**os.environ, "PYTHONPATH": str(pages.ROOT)},
         capture_output=True,

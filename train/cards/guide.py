@@ -222,7 +222,9 @@ def _curves(curves: Sequence[Curve]) -> str:
         key = group[0].key
         methods = ", ".join(dict.fromkeys(c.key.method for c in group))
         words = f"Score of {methods} on {key.scenario} at level {key.action}"
-        shown.append(f"![{words}, against agent steps and against minutes](../{CURVES.as_posix()}/{name})")
+        shown.append(
+            f"![{words}, against agent steps and against minutes](../{CURVES.as_posix()}/{name})"
+        )
     return "\n\n".join(shown)
 
 
