@@ -26,7 +26,7 @@ def test_program_runs(program: pages.Program, tmp_path: Path) -> None:
     run = subprocess.run(
         [sys.executable, str(path)],
         cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(pages.ROOT), "TMPDIR": str(tmp_path)},
+        env={**os.environ, "PYTHONPATH": str(pages.ROOT)},
         capture_output=True,
         text=True,
         timeout=300,
