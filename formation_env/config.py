@@ -101,35 +101,36 @@ class FormationConfig:
     """
 
     scenario: str = "custom"  # its name, by which gains and policies are looked up
-    offsets: tuple[Vector, ...] = ((0.35, 0.35, -0.3), (0.35, -0.35, -0.3))  # d_i
-    trajectory: Trajectory = field(default_factory=figure_eight)
+    # m, d_i: where in its frame {F} a follower should see the leader
+    offsets: tuple[Vector, ...] = ((0.35, 0.35, -0.3), (0.35, -0.35, -0.3))
+    trajectory: Trajectory = field(default_factory=figure_eight)  # the leader's path
     path: str = "drawn"  # turned, mirrored and begun elsewhere in every episode; or "as given"
-    action: str = "wrench"
-    start: str = "formation"
+    action: str = "wrench"  # what a follower commands; or "rates", "reference"
+    start: str = "formation"  # near the slots, in flight; or "ground"
     start_offset: float = 0.15  # m, radius of the ball around the slot; start="formation"
     leader_start: Vector | None = None  # on the floor; None: under the first reference point
     follower_starts: tuple[Vector, ...] | None = None  # None: in rows behind the leader
     trigger: float = 0.25  # m, e_max of (40); start="ground"
-    control_period: float = 0.02
-    substeps: int = 4
-    duration: float = 20.0
-    measurement_period: float | None = None  # None: the control period
-    measurement_delay: int = 0  # samples
-    estimator: str = "direct"  # or "differenced", section IV
+    control_period: float = 0.02  # s, a tick
+    substeps: int = 4  # of the integrator in a tick
+    duration: float = 20.0  # s, after which an episode is truncated
+    measurement_period: float | None = None  # s; None: the control period
+    measurement_delay: int = 0  # samples by which all that is measured is late
+    estimator: str = "direct"  # all is measured; or "differenced", section IV
     window: int = 100  # samples in the acceleration's moving average
-    noise: Noise = NO_NOISE
+    noise: Noise = NO_NOISE  # white, on what is measured
     gust: float = 0.0  # m/s^2, standard deviation of a random push on every vehicle
     gust_time: float = 1.0  # s, its correlation time
-    vehicle: Vehicle = PARTS["vehicle"]
-    leader_actuation: str = "moment"
+    vehicle: Vehicle = PARTS["vehicle"]  # leader and followers
+    leader_actuation: str = "moment"  # what flies the leader; or "rates"
     reference_actuation: str = "moment"  # what flies a follower at action="reference"
     reference_max: Vector = (4.0, 4.0, 4.0)  # m/s^2 at action +-1
-    planner: PlannerGains = PARTS["planner"]
+    planner: PlannerGains = PARTS["planner"]  # of the expert
     tracker: TrackerGains = PARTS["tracker"]  # vehicles driven by moments
     rates_tracker: TrackerGains = RATES_GAINS  # vehicles driven by rates
-    reward: Rewards = PARTS["reward"]
-    limits: Limits = PARTS["limits"]
-    neighbours: int = 2
+    reward: Rewards = PARTS["reward"]  # weights of its terms
+    limits: Limits = PARTS["limits"]  # where an episode fails
+    neighbours: int = 2  # how many other followers each observes, nearest first
 
     def __post_init__(self) -> None:
         self._convert()

@@ -7,7 +7,7 @@ import importlib
 import re
 from functools import cache
 from math import asin, sin
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -17,12 +17,47 @@ from hypothesis import strategies as st
 from mutation import source
 from tables_in_docs import ROOT, names, rows
 
-INDEX = rows("equations.md", 4)
-WITHOUT_CODE = ("definition", "intermediate step", "repetition of (")
+WITHOUT_CODE = ("A definition", "An intermediate step", "A repetition of (")
+
+
+class Equation(NamedTuple):
+    """A section of the page."""
+
+    number: int
+    formula: str
+    where: str  # what computes it, or what it is in the paper
+    checked: str
+
+
+def index() -> list[Equation]:
+    """The sections of the page, in order."""
+    text = (ROOT / "docs/equations.md").read_text(encoding="utf-8")
+    found = re.findall(
+        r"^### \((\d+)\) \S.*\n\n\$\$\n(.+)\n\$\$\n\n(.+?)(?: Checked by (.+)\.)?$", text, re.M
+    )
+    assert len(found) == len(re.findall(r"^### ", text, re.M)), "a section is of another form"
+    return [Equation(int(n), *rest) for n, *rest in found]
+
+
+INDEX = index()
 
 
 def test_no_number_is_missing() -> None:
-    assert [row[0] for row in INDEX] == [f"({n})" for n in range(1, 71)]
+    assert [each.number for each in INDEX] == list(range(1, 71))
+
+
+def test_repetitions_are_the_same_formula() -> None:
+    formulas = {each.number: each.formula for each in INDEX}
+    for each in INDEX:
+        if again := re.match(r"A repetition of \((\d+)\)", each.where):
+            assert each.formula == formulas[int(again[1])]
+
+
+def test_errata_name_equations() -> None:
+    errata = rows("equations.md", 3)
+    assert len(errata) >= 6
+    for number, _, _ in errata:
+        assert numbers(number) <= {each.number for each in INDEX}
 
 
 def found(name: str) -> tuple[Any, Any]:
@@ -43,17 +78,17 @@ def numbers(text: str) -> set[int]:
     return {n for low, high in ranges for n in range(int(low), int(high or low) + 1)}
 
 
-@pytest.mark.parametrize("row", INDEX, ids=lambda row: row[0])
-def test_functions_exist_and_say_the_number(row: tuple[str, ...]) -> None:
-    number, _, where, _ = row
+@pytest.mark.parametrize("each", INDEX, ids=lambda each: f"({each.number})")
+def test_functions_exist_and_say_the_number(each: Equation) -> None:
+    number, _, where, _ = each
     functions = [name for name in names(where) if re.fullmatch(r"[a-z_]\w*(\.\w+)+", name)]
     assert functions or where.startswith(WITHOUT_CODE), (
-        f"{number} is neither computed nor explained"
+        f"({number}) is neither computed nor explained"
     )
     for name in functions:
         module, function = found(name)
         told = numbers(f"{module.__doc__} {function.__doc__}")
-        assert int(number.strip("()")) in told, f"no docstring of {name} mentions {number}"
+        assert number in told, f"no docstring of {name} mentions ({number})"
 
 
 @cache
@@ -62,11 +97,11 @@ def defined_in(file: str) -> frozenset[str]:
     return frozenset(node.name for node in tree.body if isinstance(node, ast.FunctionDef))
 
 
-@pytest.mark.parametrize("row", INDEX, ids=lambda row: row[0])
-def test_tests_exist(row: tuple[str, ...]) -> None:
+@pytest.mark.parametrize("each", INDEX, ids=lambda each: f"({each.number})")
+def test_tests_exist(each: Equation) -> None:
     """What code computes some test checks."""
-    number, _, where, checked = row
-    assert names(checked) or where.startswith(WITHOUT_CODE), f"no test checks {number}"
+    number, _, where, checked = each
+    assert names(checked) or where.startswith(WITHOUT_CODE), f"no test checks ({number})"
     for test in names(checked):
         file, _, name = test.partition("::")
         assert name in defined_in(file), f"docs/equations.md: there is no {test}"

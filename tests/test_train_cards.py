@@ -41,7 +41,7 @@ def checkout(tmp_path: Path, root: Path) -> Path:
 
 
 def test_the_guide_is_the_one_that_the_script_makes(root: Path) -> None:
-    assert (root / guide.README).read_text(encoding="utf-8") == guide.readme(guide.gather(root)), (
+    assert (root / guide.PAGE).read_text(encoding="utf-8") == guide.page(guide.gather(root)), (
         "run python -m train.cards"
     )
 
@@ -75,11 +75,11 @@ def test_what_ships_is_small_and_where_it_says(root: Path) -> None:
 def test_the_program_flies_a_policy_of_ones_own(
     root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (program,) = re.findall(r"^```python\n(.*?)^```$", template(root), re.MULTILINE | re.DOTALL)
+    (program,) = re.findall(r"^```python\n(.*?)^```$", guide_of(root), re.MULTILINE | re.DOTALL)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "runs").mkdir()
     a_run(tmp_path / "runs/ppo")
-    exec(compile(program, "train/README", "exec"), {"__name__": "__main__"})
+    exec(compile(program, "docs/training.md", "exec"), {"__name__": "__main__"})
     assert capsys.readouterr().out.startswith("return ")
 
 
@@ -88,7 +88,7 @@ def test_the_options_in_the_commands_exist(root: Path, module: str) -> None:
     tyro = pytest.importorskip("tyro")
     options = importlib.import_module(f"train.{module}.options").Options
     program = {"tune_expert": "tune-expert"}.get(module, f"train-{module}")
-    found = re.findall(rf"^formation-{program} (.*)$", template(root), re.M)
+    found = re.findall(rf"^formation-{program} (.*)$", guide_of(root), re.M)
     assert found
     for words in found:
         given = tyro.cli(options, args=shlex.split(words))
@@ -97,14 +97,15 @@ def test_the_options_in_the_commands_exist(root: Path, module: str) -> None:
 
 
 def test_the_policies_in_the_commands_are_made_by_earlier_commands(root: Path) -> None:
-    text = template(root)
+    text = guide_of(root)
     for found in re.finditer(r"runs/[\w-]+/best\.safetensors", text):
         folder = found[0].rpartition("/")[0]
         assert f"--output {folder} " in text[: found.start()], found[0]
 
 
-def template(root: Path) -> str:
-    return (root / guide.TEMPLATE).read_text(encoding="utf-8")
+def guide_of(root: Path) -> str:
+    """How to train, as the manual has it."""
+    return (root / "docs/training.md").read_text(encoding="utf-8")
 
 
 # -- curves ---------------------------------------------------------------------------------------
@@ -181,7 +182,7 @@ def test_a_run_becomes_a_policy_a_curve_and_a_page(
     first = contents(checkout)
     assert main(checkout) == 0
     assert contents(checkout) == first
-    text = first["train/README.md"].decode()
+    text = first["docs/trained.md"].decode()
     assert f"{result.score.value:.3f}" in text and "`rllib-ppo` | - | 2.000, 1 seed" in text
     assert "`python -m train.ppo --seed 3`" in text and "48-8-4 tanh" in text
     assert "curves/nominal-wrench.png" in text
@@ -253,7 +254,7 @@ def test_generalisation_tells_its_policies_apart_from_later_ones(
     assert [t.policy for t in facts.transfers] == ["expert", "ff", "ppo"]
     score = facts.transfers[0].score
     assert 0.5 < score < 1.0 and facts.stale == []
-    assert f"| nominal | {score:.3f} (" in guide.readme(facts)
+    assert f"| nominal | {score:.3f} (" in guide.page(facts)
     shipping.ship(run, shipping.Estimate(0.6, 0.4, 0.7, 2), checkout)
     facts = guide.gather(checkout)
     assert [t.policy for t in facts.transfers] == ["expert", "ff"]

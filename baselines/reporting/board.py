@@ -17,7 +17,7 @@ from baselines.reporting import demands, profile, report, robustness, statistics
 from baselines.reporting.cells import markdown_table, rounded
 from baselines.reporting.findings import findings
 from baselines.reporting.further import Further
-from baselines.reporting.rows import SEEDS, agreed_best
+from baselines.reporting.rows import PAPER, SEEDS, agreed_best
 from baselines.scoring.results import Report, Scenario
 from baselines.scoring.suite import Matrix, matrix, over
 from baselines.system.reading import read_text
@@ -30,6 +30,7 @@ FILES, STATISTICS, FIGURES = "files.md", "statistics.md", "figures.md"
 DEMANDS, ROBUSTNESS = "scenarios.md", "robustness.md"
 BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"
 LARGEST = 8000  # bytes of LEADERBOARD.md
+TOP = 4  # policies that the README shows, beside the paper's
 
 WORST = 0.02  # by which the worst run's score is below the median's where it is shown
 LEGEND = (
@@ -204,9 +205,28 @@ def _joined(parts: list[str]) -> str:
 
 
 def extract(result: Report) -> str:
-    """The scores without intervals, for the README."""
-    grid = report.grid(result, lambda s, policy: f"{s.results[policy].score.value:.2f}")
-    return f"{grid}\n\n*Italics*: trained for another scenario; `-`: does not fly this one."
+    """For the README: the scores of the best `TOP` policies and of the expert, scenarios as they are named.
+
+    By the mean over these, in which what a policy does not fly counts zero; without scenarios at other action
+    levels, where there are any at their own.
+    """
+    named = {n: s for n, s in result.scenarios.items() if ":" not in n} or result.scenarios
+
+    def total(policy: str) -> float:
+        return sum(s.results[policy].score.value for s in named.values() if policy in s.results)
+
+    ranked = sorted(result.policies, key=total, reverse=True)
+    kept = [p for k, p in enumerate(ranked) if k < TOP or p == PAPER]
+    shown = {
+        name: s._replace(results={p: s.results[p] for p in kept if p in s.results})
+        for name, s in named.items()
+    }
+    grid = report.grid(
+        result._replace(scenarios=shown), lambda s, policy: f"{s.results[policy].score.value:.2f}"
+    )
+    marks = {"*": "*Italics*: trained for another scenario", "| - ": "`-`: does not fly this one"}
+    told = "; ".join(text for mark, text in marks.items() if mark in grid)
+    return f"{grid}\n\n{told}." if told else grid
 
 
 def with_extract(readme: str, text: str) -> str:

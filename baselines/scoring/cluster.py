@@ -1,7 +1,7 @@
 """Flights shared out over a Ray cluster: the one module here that imports Ray, where `--ray` is given.
 
 Ray's workers have to find this package, in the same version, on every machine. Numbers are those of a
-local run to the last bit where the machines are of one kind; see the README on determinism.
+local run to the last bit where the machines are of one kind; see `docs/guarantees.md`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Write `train/README.md`: `python -m train.cards`. Needs a checkout, and the `plot` extra for the pictures.
+"""Write `docs/trained.md`: `python -m train.cards`. Needs a checkout, and the `plot` extra for the pictures.
 
-The guide's text is `train/README.template.md`; its tables and pictures come from what is checked in: the
+Its text is `train/trained.template.md`; its tables and pictures come from what is checked in: the
 learning curves in `train/curves/` and the policies in `baselines/policies/`. With the same versions the same
 files give the same bytes. What is checked in comes from
 
@@ -9,7 +9,7 @@ files give the same bytes. What is checked in comes from
     python -m train.cards --curve runs/y runs/z  the curves alone, of other seeds or of what failed
     python -m train.cards --generalise           the policies of `nominal` on tasks they have not seen
 
-after which `python -m train.cards` writes the guide anew.
+after which `python -m train.cards` writes the page anew.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def parser() -> _Parser:
     """The options of the command."""
     options = _Parser(
         prog=PROGRAM,
-        description="Write train/README.md and its pictures from what is checked in, or check in a "
+        description="Write docs/trained.md and its pictures from what is checked in, or check in a "
         "run. Needs a checkout, and the plot extra for the pictures.",
         allow_abbrev=False,
     )
@@ -125,7 +125,7 @@ def _require_checkout(folder: Path) -> None:
 
 
 def _do(options: argparse.Namespace) -> int:
-    """Carry out one of --ship, --curve, --generalise, or write the guide; the exit status."""
+    """Carry out one of --ship, --curve, --generalise, or write the page; the exit status."""
     checkout: Path = options.checkout
     if options.ship:
         return _ship(options.ship, options.method, checkout, options.threads)
@@ -138,7 +138,7 @@ def _do(options: argparse.Namespace) -> int:
         path.parent.mkdir(exist_ok=True)
         write_text(path, shipping.transfers_text(rows))
         return _written([path])
-    return _guide(checkout)
+    return _page(checkout)
 
 
 def _ship(
@@ -159,23 +159,24 @@ def _ship(
     return _written([*paths, *others])
 
 
-def _guide(checkout: Path) -> int:
-    """Write the guide's text and pictures."""
+def _page(checkout: Path) -> int:
+    """Write the page and its pictures."""
     if importlib.util.find_spec("matplotlib") is None:
         raise ValueError('matplotlib is not installed: pip install "formation-env[plot]"')
     from train.cards.pictures import draw
 
     facts = guide.gather(checkout)
-    text = guide.readme(facts)
+    text = guide.page(facts)
     paths = []
     for name, curves in guide.pictures(facts.curves).items():
         paths.append(checkout / shipping.CURVES / name)
         key = curves[0].key
         draw(curves, facts.board.get((key.scenario, key.action), {}), paths[-1])
-    write_text(checkout / guide.README, text)
+    (checkout / guide.PAGE).parent.mkdir(exist_ok=True)
+    write_text(checkout / guide.PAGE, text)
     for name in facts.stale:
         print(f"{name}: not in the table of generalisation; run --generalise", file=sys.stderr)
-    return _written([*paths, checkout / guide.README])
+    return _written([*paths, checkout / guide.PAGE])
 
 
 def _written(paths: Iterable[Path]) -> int:

@@ -1,4 +1,4 @@
-"""The text of `train/README.md`: the template, with tables of the policies and curves that are checked in."""
+"""The text of `docs/trained.md`: the template, with tables of the policies and curves that are checked in."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from train.cards.shipping import (
 )
 
 BOARD = PAGES / JSON
-README, TEMPLATE = Path("train/README.md"), Path("train/README.template.md")
+PAGE, TEMPLATE = Path("docs/trained.md"), Path("train/trained.template.md")
 TUNED = Path("baselines") / GAINS.name
 
 _NOTICE = (
-    "<!-- Written by `python -m train.cards` from README.template.md, curves/ and the policies that "
-    "ship. Do not edit. -->\n"
+    "<!-- Written by `python -m train.cards` from train/trained.template.md, train/curves and the policies "
+    "that ship. Do not edit. -->\n"
 )
 
 
@@ -115,7 +115,7 @@ def pictures(curves: Sequence[Curve]) -> dict[str, list[Curve]]:
     return shown
 
 
-def readme(facts: Facts) -> str:
+def page(facts: Facts) -> str:
     """The whole text. Raises `ValueError` if the template lacks the comment that a table replaces."""
     parts = {
         "reached": _reached(facts),
@@ -222,7 +222,9 @@ def _curves(curves: Sequence[Curve]) -> str:
         key = group[0].key
         methods = ", ".join(dict.fromkeys(c.key.method for c in group))
         words = f"Score of {methods} on {key.scenario} at level {key.action}"
-        shown.append(f"![{words}, against agent steps and against minutes](curves/{name})")
+        shown.append(
+            f"![{words}, against agent steps and against minutes](../{CURVES.as_posix()}/{name})"
+        )
     return "\n\n".join(shown)
 
 

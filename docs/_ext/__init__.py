@@ -1,0 +1,1 @@
+"""What Sphinx needs to know of this manual beyond its own extensions."""

@@ -1,0 +1,115 @@
+"""The fields of a dataclass or NamedTuple as their source declares them, with the comment beside each."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+import io
+import textwrap
+import tokenize
+from typing import Any, NamedTuple
+
+
+class Field(NamedTuple):
+    """A field of a class."""
+
+    name: str
+    type: str
+    default: Any  # `inspect.Parameter.empty` where there is none
+    comment: str  # unit and meaning
+
+
+def fields(kind: type) -> list[Field]:
+    """The fields of `kind`, in order. A comment is behind the field, or on the lines before it."""
+    source = textwrap.dedent(inspect.getsource(kind))
+    comments, alone = _comments(source)
+    (body,) = ast.parse(source).body
+    assert isinstance(body, ast.ClassDef)
+    defaults = _defaults(kind)
+    found = []
+    for node in body.body:
+        if not isinstance(node, ast.AnnAssign) or not isinstance(node.target, ast.Name):
+            continue
+        name, last = node.target.id, node.end_lineno or node.lineno
+        said = [comments[i] for i in range(node.lineno, last + 1) if i in comments]
+        before = node.lineno - 1
+        while before in alone:
+            said.insert(0, alone[before])
+            before -= 1
+        found.append(
+            Field(name, _type(node.annotation), defaults.get(name, _EMPTY), " ".join(said))
+        )
+    return found
+
+
+_EMPTY = inspect.Parameter.empty
+
+
+def _comments(source: str) -> tuple[dict[int, str], dict[int, str]]:
+    """Comments behind code, and those that fill a line, by line."""
+    behind, alone = {}, {}
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            text = token.string.lstrip("# ").strip()
+            (alone if token.line.lstrip().startswith("#") else behind)[token.start[0]] = text
+    return behind, alone
+
+
+def _defaults(kind: type) -> dict[str, Any]:
+    if not dataclasses.is_dataclass(kind):
+        return dict(getattr(kind, "_field_defaults", {}))
+    found: dict[str, Any] = {}
+    for f in dataclasses.fields(kind):
+        if f.default is not dataclasses.MISSING:
+            found[f.name] = f.default
+        elif f.default_factory is not dataclasses.MISSING:
+            found[f.name] = f.default_factory()
+    return found
+
+
+def _type(node: ast.expr) -> str:
+    """The annotation; of `Annotated[type, note]` the type."""
+    if isinstance(node, ast.Subscript) and ast.unparse(node.value) == "Annotated":
+        assert isinstance(node.slice, ast.Tuple)
+        node = node.slice.elts[0]
+    return ast.unparse(node)
+
+
+def shown(value: Any) -> str:
+    """A value in a cell."""
+    if value is _EMPTY:
+        return ""
+    if isinstance(value, float):
+        return f"`{value:.4g}`"
+    if isinstance(value, str):
+        return f'`"{value}"`'
+    if isinstance(value, tuple) and hasattr(value, "_fields"):
+        return f"`{type(value).__name__}`"
+    if isinstance(value, tuple) and all(isinstance(x, tuple) for x in value):
+        return f"{len(value)} rows"
+    if isinstance(value, tuple):
+        return f"`({', '.join(f'{x:.4g}' for x in value)})`"
+    if value is None or isinstance(value, int):
+        return f"`{value}`"
+    return f"`{type(value).__name__}`"
+
+
+def table(head: list[str], rows: list[list[str]]) -> str:
+    """A table in Markdown."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(
+        f"| {' | '.join(x.replace('|', chr(92) + '|') for x in row)} |" for row in lines
+    )
+
+
+def field_table(kind: type, names: Any = None) -> str:
+    """The fields of `kind` as a table, or those of `names`."""
+    rows = [
+        [f"`{f.name}`", shown(f.default), f.comment or "-"]
+        for f in fields(kind)
+        if names is None or f.name in names
+    ]
+    if all(row[1] == "" for row in rows):
+        return table(["field", "unit and meaning"], [[a, c] for a, _, c in rows])
+    return table(["field", "default", "unit and meaning"], rows)
