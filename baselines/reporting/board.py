@@ -224,8 +224,9 @@ def extract(result: Report) -> str:
     grid = report.grid(
         result._replace(scenarios=shown), lambda s, policy: f"{s.results[policy].score.value:.2f}"
     )
+    cells = "\n".join(grid.splitlines()[2:])
     marks = {"*": "*Italics*: trained for another scenario", "| - ": "`-`: does not fly this one"}
-    told = "; ".join(text for mark, text in marks.items() if mark in grid)
+    told = "; ".join(text for mark, text in marks.items() if mark in cells)
     return f"{grid}\n\n{told}." if told else grid
 
 
