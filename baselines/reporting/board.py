@@ -35,16 +35,16 @@ TOP = 4  # policies that the README shows, beside the paper's
 WORST = 0.02  # by which the worst run's score is below the median's where it is shown
 LEGEND = (
     f"Behind a learned score: the worst run's where lower by {WORST:g} or more; what it was trained for, "
-    "`own` the scenario itself. *Italics*: transfer. `-`: does not fly it. NAME:LEVEL: at another action "
+    "`own` this one. *Italics*: transfer. `-`: does not fly it. NAME:LEVEL: at another action "
     "level. "
-    f"**Bold**: every run, of what was trained or searched {SEEDS} at least, scores above every run of all "
-    "others (95 %, paired); `-tuned` is one search, so not bold."
+    f"**Bold**: every run, of what was trained or searched {SEEDS} at least, scores above all others' runs "
+    "(95 %, paired); `-tuned` is one search, so not bold."
 )
 ADD = (
     "1. A controller: `formation-evaluate --policies expert,ff,mine.py:MyPolicy` scores it beside others.\n"
     f"2. A learned one: train {SEEDS} seeds; `formation-evaluate --runs runs` scores them, "
     "`python -m train.cards --ship RUN ...` checks the median in.\n"
-    "3. `python -m baselines.evaluate --leaderboard`, with `--runs`, writes this page and docs/board: "
+    "3. `python -m baselines.evaluate --leaderboard --runs runs` writes this page and docs/board: "
     "propose both."
 )
 
