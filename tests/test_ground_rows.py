@@ -1,4 +1,4 @@
-"""Where vehicles stand on the floor: in rows behind the leader, so that their ways to the slots do not cross."""
+"""Places on the floor: in rows behind the leader, so that the ways to the slots do not cross."""
 
 from __future__ import annotations
 
