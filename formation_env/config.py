@@ -11,12 +11,11 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
-from math import ceil, inf, sqrt
+from math import ceil, inf
 from typing import Any, final
 
 import numpy as np
 
-from formation_env import formations
 from formation_env.configuration.bounds import check_clock, check_moments, check_rate_loop
 from formation_env.configuration.leader_path import require_flyable
 from formation_env.configuration.parts import part, rows
@@ -24,6 +23,7 @@ from formation_env.configuration.placement import (
     check_ground_starts,
     check_offsets,
     check_start_offset,
+    ground_rows,
     judged,
 )
 from formation_env.laws import levels
@@ -336,9 +336,7 @@ class FormationConfig:
         leader = self.leader_start or (p[0], p[1], 0.0)
         if self.follower_starts is not None:
             return (leader, *self.follower_starts)
-        columns = ceil(sqrt(self.followers))
-        grid = formations.grid(self.followers, columns, ahead=0.7, plane="xy")
-        places = [out_of_frame(R, (-float(d[0]), -float(d[1]), 0.0)) for d in grid]
+        places = [out_of_frame(R, (-x, -y, 0.0)) for x, y in ground_rows(self.offsets).tolist()]
         return (leader, *((leader[0] + x, leader[1] + y, 0.0) for x, y, _ in places))
 
     @cached_property
