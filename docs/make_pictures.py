@@ -4,6 +4,7 @@
     python docs/make_pictures.py swarm     those with these names
 
 Needs the extras `render` and `plot` (for Pillow), no display. The same versions make the same files.
+`replay` needs Playwright (extra `dev`) and Chromium as well, and is made only where it is named.
 """
 
 from __future__ import annotations
@@ -134,6 +135,34 @@ def animation(shot: Shot, size: tuple[int, int] = (448, 252), colours: int = 48)
     _told(ANIMATION)
 
 
+def replay() -> None:
+    """Write a picture of the page that `formation-replay` makes."""
+    import io
+    import shutil
+    import tempfile
+
+    from PIL import Image
+    from playwright.sync_api import sync_playwright
+
+    import baselines
+
+    page = Path(tempfile.mkdtemp()) / "replay.html"
+    baselines.replay(["expert", "lqr"], "paper", seed=0, followers=6).write(page)
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(
+            executable_path=shutil.which("chromium") or shutil.which("google-chrome"),
+            args=["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
+        )
+        tab = browser.new_page(viewport={"width": 1280, "height": 800})
+        tab.goto(f"{page.as_uri()}#t=30")
+        tab.wait_for_timeout(4000)
+        shot = tab.screenshot()
+        browser.close()
+    path = FOLDER / "replay.png"
+    _quantized(Image.open(io.BytesIO(shot)).convert("RGB"), 96).save(path, optimize=True)
+    _told(path)
+
+
 def _quantized(picture: Any, colours: int = COLOURS) -> Any:
     """With few colours. Other ways than an octree lose the followers', of which there is little."""
     from PIL import Image
@@ -156,6 +185,8 @@ def main(names: list[str]) -> None:
         Image.fromarray(frame).save(PICTURE, optimize=True)
         _told(PICTURE)
         animation(moving())
+    if "replay" in names:
+        replay()
 
 
 if __name__ == "__main__":
