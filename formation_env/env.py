@@ -72,7 +72,8 @@ class FormationEnv(Fixed, gym.Env[Observation, NDArray[np.float32]]):
 
     A tick earns at most 1, so an episode's return is at most its number of ticks: 1500 in `nominal`
     (30 s at 0.02 s), and less in practice, since following the leader costs some effort. Nothing is
-    earned before the trigger (40), and the whole wait until its deadline costs less than a failure.
+    earned before the trigger (40), and in every scenario the whole wait until its deadline costs less
+    than a failure.
 
     ## Starting State
 
@@ -89,7 +90,7 @@ class FormationEnv(Fixed, gym.Env[Observation, NDArray[np.float32]]):
     when the trigger (40) has not fired within `limits.deadline` (15 s); `info["failure"]` says which. One
     failure costs every follower the same. A leader that crashes, on a path that it cannot fly, ends the
     episode as well; `failure` is then 4 for each follower that has not failed itself, and costs nothing.
-    Truncates after `duration` (30 s in `nominal` and `agile`, 40 s in `paper` and `experiment`, a
+    Truncates after `duration` (30 s in `nominal` and `agile`, 45 s in `paper` and `experiment`, a
     round of the path in `swarm`), or earlier where `gym.make` is given `max_episode_steps`;
     `spec.max_episode_steps` says what holds.
 

@@ -74,7 +74,7 @@ def paper(followers: int = 2) -> FormationConfig:
         leader_start=(0.0, 0.0, 0.0) if followers == 2 else None,
         follower_starts=pair if followers == 2 else None,
         noise=PAPER_NOISE,
-        duration=40.0,
+        duration=45.0,
     )
 
 
@@ -106,7 +106,7 @@ def experiment(followers: int = 2) -> FormationConfig:
         leader_actuation="rates",
         reference_actuation="rates",
         planner=PlannerGains(k1=0.3, k2=1.1, k3=0.17, kz1=0.2, kz2=1.0, p_max=5.0),
-        duration=40.0,
+        duration=45.0,
     )
 
 

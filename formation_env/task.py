@@ -297,7 +297,8 @@ def reward(
         smoothness = -smoothness |a - a_prev|^2 / size
         failure    = -failure - waiting left, once, where one of the team has failed
 
-    So nothing is earned before the start, and the whole wait until the deadline costs less than a failure.
+    So nothing is earned before the start, and in every scenario the whole wait until the deadline costs less
+    than a failure.
     `left` are the ticks until the deadline, 0 after the start: who fails before it pays for them too, so that
     ending the wait by a crash gains nothing.
     `error` is the true slot error in m, `size` the number of entries an action has.

@@ -21,6 +21,7 @@ from baselines.scoring.metrics import (
     begin,
     deadline,
     episodes,
+    flight_ticks,
     window_ticks,
 )
 from baselines.scoring.rollout import fly as fly_policy
@@ -31,7 +32,7 @@ from formation_env.task import COLLISION, COLUMNS, FAILED, SEPARATION, Outcome
 TICKS, SKIPPED = 240, 40  # of 0.02 s; the 200 after those that are skipped are scored
 SCORED = TICKS - SKIPPED
 OFFSETS = np.array(configure("nominal").offsets)
-GROUND = configure("paper")  # 15 s to start, then 25 s scored
+GROUND = configure("paper")  # 15 s to start, then 30 s of which 25 are scored
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +57,7 @@ def fly(
     after `ticks`, in a failure if one is given.
     """
     most = config.max_steps
-    ticks = most if ticks is None else ticks
+    ticks = min(most, trigger + flight_ticks(config)) if ticks is None else ticks
     errors = np.broadcast_to(errors, (most, 2, 3)).astype(float)
     rewards = np.broadcast_to(rewards, most)
     actions = np.broadcast_to(np.asarray(actions, dtype=np.float32), (most, 2, 4))
@@ -78,7 +79,7 @@ def fly(
         living = add_tick(
             tally,
             k + 1,
-            most - window_ticks(config),
+            flight_ticks(config) - window_ticks(config),
             window_ticks(config),
             live,
             np.array([k + 1 >= trigger, True]),
@@ -86,7 +87,7 @@ def fly(
             outputs,
             np.array([rewards[k], np.nan]),
             terminated,
-            np.array([k == most - 1, True]),
+            np.array([last, True]),
             now,
             before,
             OFFSETS,
@@ -198,12 +199,25 @@ def test_a_crash_of_the_leader_is_nobody_elses(config: FormationConfig) -> None:
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_the_window_is_the_end_of_the_episode(scenario: str) -> None:
-    """Of every scenario 25 s, after the deadline of the start or after 5 s."""
+def test_the_window_is_the_end_of_every_flight(scenario: str) -> None:
+    """Of every scenario 25 s, 5 s or more after the start; a flight that starts at the deadline fits."""
     config = configure(scenario)
-    scored = window_ticks(config) * config.control_period
+    scored, flight = (
+        ticks(config) * config.control_period for ticks in (window_ticks, flight_ticks)
+    )
     assert scored == pytest.approx(WINDOW)
-    assert config.duration - scored >= (deadline(config) or 5.0)
+    assert flight - scored >= 5.0 - 1e-9
+    assert deadline(config) + flight == pytest.approx(config.duration)
+
+
+@pytest.mark.parametrize(
+    ("duration", "flight"), [(45.0, 30.0), (60.0, 45.0), (30.0, 20.0), (12.0, 8.0)]
+)
+def test_of_a_short_episode_a_third_is_for_the_wait(duration: float, flight: float) -> None:
+    config = configure("paper", duration=duration)
+    assert flight_ticks(config) * 0.02 == pytest.approx(flight)
+    assert window_ticks(config) * 0.02 == pytest.approx(min(WINDOW, flight * 5.0 / 6.0), abs=0.01)
+    assert deadline(config) == min(15.0, duration)
 
 
 @pytest.mark.parametrize(("duration", "scored"), [(30.0, 25.0), (12.0, 10.0), (0.02, 0.02)])
@@ -212,24 +226,40 @@ def test_of_short_episodes_five_sixths_are_scored(duration: float, scored: float
     assert window_ticks(config) * config.control_period == pytest.approx(scored)
 
 
-def test_nothing_before_the_window_is_scored() -> None:
-    """Neither when the formation starts nor what is flown until then."""
-    window = window_ticks(GROUND)
-    errors, rewards = np.full((GROUND.max_steps, 2, 3), 3.0), np.full(GROUND.max_steps, 0.125)
-    errors[-window:], rewards[-window:] = 0.0, 0.75
-    for trigger in (400, 700, GROUND.max_steps - window):
-        figures = fly(GROUND, errors, rewards=rewards, trigger=trigger)
+def test_nothing_before_the_window_is_scored_and_nothing_is_flown_after_it() -> None:
+    window, flight = window_ticks(GROUND), flight_ticks(GROUND)
+    for trigger in (400, 700, GROUND.max_steps - flight):
+        errors = np.full((GROUND.max_steps, 2, 3), 3.0)
+        rewards = np.full(GROUND.max_steps, 0.125)
+        end = trigger + flight
+        errors[end - window : end], rewards[end - window : end] = 0.0, 0.75
+        figures = fly(GROUND, errors, rewards=rewards, trigger=trigger)  # up to `end`
         assert figures["score"] == 0.75
         assert figures["slot_error"] == figures["slot_error_late"] == 0.0
         assert figures["trigger_time"] == pytest.approx(trigger * GROUND.control_period)
 
 
-def test_ticks_of_the_window_before_the_start_count_as_missing(config: FormationConfig) -> None:
-    """And the tick of the start, on which the slots change, is one of them."""
-    figures = fly(config, 0.0, trigger=SKIPPED + 80)
+def test_a_flight_that_is_over_is_flown_no_further() -> None:
+    """Each world ends with its own flight, before the time limit."""
+    config, live_ticks = configure("paper", duration=30.0), np.zeros(3)
+
+    def count(_: Any, live: Any, __: Any) -> None:
+        live_ticks[:] += live
+
+    columns = fly_policy(make_policy("ff", config), range(3), watch=count)
+    ends = columns["trigger_time"] / config.control_period + flight_ticks(config)
+    assert live_ticks == pytest.approx(ends)
+    assert (live_ticks < config.max_steps).all() and not columns["failed"].any()
+
+
+def test_ticks_of_the_window_that_a_limit_cuts_off_count_as_missing(
+    config: FormationConfig,
+) -> None:
+    """The tick of the start, on which the slots change, is none of the flight's."""
+    figures = fly(config, 0.0, trigger=80)
     assert figures["score"] == pytest.approx((SCORED - 80) / SCORED)
     assert figures["slot_error"] == pytest.approx(CAP * sqrt(80 / SCORED))
-    assert figures["slot_error_late"] == 0.0
+    assert figures["slot_error_late"] == pytest.approx(CAP * sqrt(80 / (SCORED / 2)))
 
 
 def test_rewards_count_between_0_and_1(config: FormationConfig) -> None:
@@ -249,7 +279,7 @@ def test_never_started_is_the_worst_and_has_figures() -> None:
 def test_a_crash_scores_the_share_of_the_window_that_was_flown() -> None:
     """It scored 0.916 where the mean was over the ticks flown, and all where the window was over."""
     for flown in (10.0, 24.9):
-        ticks = GROUND.max_steps - round((WINDOW - flown) / GROUND.control_period)
+        ticks = 300 + flight_ticks(GROUND) - round((WINDOW - flown) / GROUND.control_period)
         figures = fly(GROUND, 0.0, trigger=300, ticks=ticks, failed=COLLISION)
         assert figures["score"] == pytest.approx((flown - GROUND.control_period) / WINDOW, abs=1e-9)
         assert figures["slot_error_late"] > 0.0
@@ -268,19 +298,27 @@ def test_ending_early_never_scores_more(cut: int, level: float, seed: int) -> No
     assert off["slot_error"] >= on["slot_error"]
 
 
-@pytest.mark.parametrize("delay", [1, 300, 749, 1200])
-def test_starting_later_never_scores_more(delay: int) -> None:
-    """Of a flight that goes as well at every moment, whenever it has started."""
+@pytest.mark.parametrize("flown", [None, 200, 600, 1400])
+@pytest.mark.parametrize("delay", [1, 300, 749])
+def test_the_same_flight_scores_the_same_whenever_it_starts(delay: int, flown: int | None) -> None:
+    """To its end, or to a crash, which a wait would put off where the window were not of the flight."""
     flight = 0.5 + 0.5 * np.random.default_rng(0).random(GROUND.max_steps)
     ticks = np.arange(GROUND.max_steps)
     soon, late = (
-        fly(GROUND, 0.0, rewards=np.where(ticks < k, 0.0, flight), trigger=k)
+        fly(
+            GROUND,
+            0.0,
+            rewards=np.where(ticks < k, 0.0, np.roll(flight, k)),
+            trigger=k,
+            ticks=None if flown is None else k + flown,
+            failed=0 if flown is None else COLLISION,
+        )
         for k in (1, delay + 1)
     )
-    assert late["score"] <= soon["score"]
-    assert (late["score"] < soon["score"]) == (delay + 1 > GROUND.max_steps - window_ticks(GROUND))
-    assert late["return"] < soon["return"]
+    assert late["score"] == pytest.approx(soon["score"], rel=1e-12)
+    assert late["return"] == pytest.approx(soon["return"], rel=1e-12)
     assert late["trigger_time"] > soon["trigger_time"]
+    assert late["slot_error"] == soon["slot_error"]
 
 
 def test_a_crash_of_the_leader_is_a_failure_of_its_own_kind() -> None:
@@ -352,16 +390,17 @@ def test_hostile_flights_score_less_than_flying_on(scenario: str) -> None:
             assert (columns["failed"] == 1.0).all()
 
 
-def test_waiting_for_the_leader_to_calm_down_does_not_pay() -> None:
-    """Where the window began with the start, this raised the score of `ff-filter` by 0.012.
+@pytest.mark.parametrize("cut", [np.inf, 17.0])
+def test_waiting_does_not_pay(cut: float) -> None:
+    """Neither for the leader to calm down, nor for one that will crash 17 s after its start.
 
-    Another part of the path and other noise are scored, which over 60 seeds makes 0.003 either way.
+    Where the window began with the start, this raised the score of `ff-filter` by 0.012; where it was the
+    end of an episode of fixed length, it put off the crash. Other noise is scored, of 0.003 over 60 seeds.
     """
     config = configure("paper")
     soon, late = (
-        fly_policy(Hostile(config, late=wait, policy="ff-filter"), range(60))  # type: ignore[arg-type]
+        fly_policy(Hostile(config, cut, late=wait, policy="ff-filter"), range(60))  # type: ignore[arg-type]
         for wait in (0.0, 13.5)
     )
     assert late["trigger_time"].mean() > soon["trigger_time"].mean() + 4.0
     assert late["score"].mean() < soon["score"].mean() + 0.005
-    assert late["return"].mean() < soon["return"].mean()

@@ -25,7 +25,7 @@ from baselines.policies.expert import Expert
 from baselines.registry import Recipe
 from baselines.replay.episode import Episode, Floats
 from baselines.replay.lyapunov import NAMES, is_recorded, values, with_record
-from baselines.scoring.metrics import add_tick, begin, episodes, window_ticks
+from baselines.scoring.metrics import add_tick, begin, episodes, flight_ticks, window_ticks
 from formation_env import FormationConfig
 from formation_env.core.simulation import Simulation, seeded_key
 from formation_env.interface.faces import TERMS, describe, path_times
@@ -106,7 +106,7 @@ class Recorder:
         add_tick(
             self._tally,
             len(self._slots),
-            config.max_steps - window,
+            flight_ticks(config) - window,
             window,
             np.ones(1, dtype=np.bool_),
             s.started,

@@ -2,10 +2,10 @@
 
 A `Tally` gathers one episode per world tick by tick; `episodes` turns it into the columns of `EPISODE`.
 
-What is scored is the episode's last `window_ticks` ticks, so how the formation is kept, not how it was
-reached. Where the window lies does not depend on what is flown: its ticks before the trigger (40) has fired
-and those that an episode lacks, because it failed, count as the worst. So neither the moment of the start
-can be chosen for a better score, nor a crash be put off until nothing is scored any more.
+What is scored is the last `window_ticks` ticks of a flight, which begins with the trigger (40) and is
+`flight_ticks` long: how the formation is kept, not how it was reached. Ticks that are missing, because
+the episode failed or did not start in time, count as the worst. Evaluated episodes end with the flight. All
+flights are as long, however long they waited, so neither a later start nor a later crash raises the score.
 
 Slot error, separation and distances are those of the true positions, in 3-D.
 """
@@ -27,10 +27,9 @@ Floats = NDArray[np.float64]
 
 SLOT, ERROR = COLUMNS["slot"].start, COLUMNS["slot_error"].start
 
-WINDOW = 25.0  # s before the end of the episode that are scored
-LONGEST = (
-    5.0 / 6.0
-)  # of a shorter episode: as in 30 s, the time of the start and of its transient is left out
+WINDOW = 25.0  # s before the end of the flight that are scored
+LONGEST = 5.0 / 6.0  # of a shorter flight: as of 30 s, the start's transient is left out
+WAIT = 1.0 / 3.0  # of an episode, most that is for the wait
 CAP = 1.0  # m, at which a slot error counts at most, and that of a tick that is missing
 SETTLED = (
     0.1  # m, slot error below which a follower counts as settled; starts in the air are farther off
@@ -43,12 +42,22 @@ LEADER = KINDS.index("leader")
 
 def deadline(config: FormationConfig) -> float:
     """Time after reset by which the trigger (40) has to fire, s; 0 where it has fired at reset."""
-    return config.limits.deadline if config.start == "ground" else 0.0
+    return min(config.limits.deadline, config.duration) if config.start == "ground" else 0.0
+
+
+def flight_ticks(config: FormationConfig) -> int:
+    """Ticks from the trigger to the end of what is flown: those left after the longest wait.
+
+    In an episode shorter than three times the deadline, a third of it is for the wait; who starts later lacks
+    the ticks.
+    """
+    wait = min(deadline(config), WAIT * config.duration)
+    return max(1, round((config.duration - wait) / config.control_period))
 
 
 def window_ticks(config: FormationConfig) -> int:
-    """The number of ticks that are scored, the last ones: those of `WINDOW`, at most `LONGEST` of all."""
-    return max(1, round(min(WINDOW, LONGEST * config.duration) / config.control_period))
+    """How many of a flight's ticks are scored, the last: those of `WINDOW`, at most `LONGEST` of all."""
+    return max(1, round(min(WINDOW / config.control_period, LONGEST * flight_ticks(config))))
 
 
 class Metric(NamedTuple):
@@ -63,14 +72,14 @@ EPISODE = {
     "score": Metric(
         "1",
         "higher",
-        "mean over the window's ticks of the followers' mean reward, clipped to 0 ... 1; a tick before the "
-        "start or missing, or on which the episode fails, counts 0",
+        "mean over the window's ticks of the followers' mean reward, clipped to 0 ... 1; a tick that is "
+        "missing, or on which the episode fails, counts 0",
     ),
     "slot_error": Metric(
         "m",
         "lower",
         "root mean square slot error over followers and the window's ticks, each error at most "
-        f"{CAP:g} m; a tick before the start or missing, or on which the episode fails, counts {CAP:g} m",
+        f"{CAP:g} m; a tick that is missing, or on which the episode fails, counts {CAP:g} m",
     ),
     "slot_error_late": Metric("m", "lower", "the same over the second half of the window"),
     "failed": Metric("1", "lower", "1 if the episode ended in a failure, else 0"),
@@ -83,7 +92,7 @@ EPISODE = {
     "return": Metric(
         "1",
         "higher",
-        "sum of the rewards until the episode ends",
+        "sum of the rewards until the flight ends",
     ),
     "settled": Metric(
         "1",
@@ -237,10 +246,10 @@ def add_tick(
 ) -> int:
     """Add tick number `tick` (from 1) of the worlds that are `live`; returns how many still are.
 
-    The `window` ticks after those that are `skipped` are scored. `leaders` `(W, 3)` are the leaders' true
-    positions, m; the followers' are in `outputs`, `(W, n, len(OUTPUTS))`. `rewards`, `terminated` and
-    `truncated` are `(W,)`. `actions` and those `before` are `(W, n, k)`, `offsets` the `d_i`, `(n, 3)`, m.
-    `live` is changed: False where a world has ended.
+    The `window` ticks after those of the flight that are `skipped` are scored. `leaders` `(W, 3)` are the
+    leaders' true positions, m; the followers' are in `outputs`, `(W, n, len(OUTPUTS))`. `rewards`,
+    `terminated` and `truncated` are `(W,)`. `actions` and those `before` are `(W, n, k)`, `offsets` the
+    `d_i`, `(n, 3)`, m. `live` is changed: False where a world or its flight has ended.
     """
     living = 0
     for w in range(len(live)):
@@ -254,8 +263,8 @@ def add_tick(
         t.ticks[w] += 1
         if _unsettled(outputs[w]):
             t.last_unsettled[w] = tick
-        number = tick - skipped  # among the window's ticks, from 1
-        if number > 0 and begun and t.failure[w] == 0:
+        number = tick - t.trigger_tick[w] - skipped  # among the window's ticks, from 1
+        if 0 < number <= window and begun and t.failure[w] == 0:
             late = 2 * number > window
             _score_window(t, w, late, rewards[w], outputs[w])
             if late:
@@ -263,7 +272,7 @@ def add_tick(
         for i in range(len(offsets)):
             t.min_separation[w] = min(t.min_separation[w], outputs[w, i, SEPARATION])
         _score_actions(t, w, actions[w], before[w])
-        live[w] = not (terminated[w] or truncated[w])
+        live[w] = not (terminated[w] or truncated[w] or (begun and number >= window))
         living += live[w]
     return living
 

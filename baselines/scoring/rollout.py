@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.policies.base import Policy
-from baselines.scoring.metrics import add_tick, begin, episodes, window_ticks
+from baselines.scoring.metrics import add_tick, begin, episodes, flight_ticks, window_ticks
 from formation_env import FormationConfig
 from formation_env.core.simulation import Simulation, seeded_key
 
@@ -91,7 +91,7 @@ def fly(
         living = add_tick(
             tally,
             tick,
-            config.max_steps - window,
+            flight_ticks(config) - window,
             window,
             live,
             simulation.started,
