@@ -54,8 +54,8 @@ def style() -> Iterator[None]:
 
 
 def labelled(name: str, unit: str) -> str:
-    """The label of an axis: `slot error (m)`; a pure number's has no unit."""
-    return name if unit == "1" else f"{name} ({unit})"
+    """The label of an axis: `slot error (m)`, `gust (m/s²)`; a pure number's has no unit."""
+    return name if unit == "1" else f"{name} ({unit.replace('^2', '²')})"
 
 
 # Above this score an axis is stretched by this factor, so that good scores can be told apart.
