@@ -204,7 +204,7 @@ def _claim(given: argparse.Namespace, scenarios: Sequence[str], stack: ExitStack
     if given.plot is not None:
         if not pictures.installed():
             raise ValueError(f"argument --plot: {pictures.MISSING}")
-        for name in plots.names(scenarios, given.swept):
+        for name in plots.names(scenarios, given.swept).values():
             written += [given.plot / f"{name}.png", given.plot / f"{name}.svg"]
     folders: dict[Path, tuple[Path, list[str]]] = {}
     for path in written:

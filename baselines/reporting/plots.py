@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterator, Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,11 @@ from baselines.system.writing import write_bytes
 
 SCORES, ERRORS = "scores", "errors"  # what the names of files end in
 _WIDTH = 8.0  # inches
+_LONGEST = 100  # characters of a scenario in a file's name
 _COLUMNS = 3  # of panels
 _LEGEND = 5  # entries side by side
+# Of the lines of a sweep: where two lie on each other both are seen. Not a divisor of the number of colours.
+_LINES = ("-", (0, (4, 2)), (0, (1, 1.5)))
 _TICKS = 6  # values of a sweep that each have a tick
 _FLOOR = 1e-4  # m, least error that is shown
 
@@ -55,28 +59,32 @@ def plot(report: Report, folder: str | Path) -> list[Path]:
     return written
 
 
-def names(scenarios: Sequence[str], sweeps: Sequence[Sweep]) -> list[str]:
-    """The files' names, without what follows the dot, that `plot` may write for scenarios and sweeps."""
+def names(scenarios: Sequence[str], sweeps: Sequence[Sweep]) -> dict[tuple[str, str], str]:
+    """The files' names, without what follows the dot, of a scenario and what is shown of it: `SCORES`,
+    `ERRORS` or the field of a sweep. Numbers tell apart what would be alike."""
     swept = {name for each in sweeps for name in each.scenarios}
-    found = [
-        _file(name, what) for name in scenarios if name not in swept for what in (SCORES, ERRORS)
-    ]
-    return [*found, *(_file(each.scenario, each.field) for each in sweeps)]
-
-
-def _file(name: str, what: str) -> str:
-    return f"{re.sub(r'[^A-Za-z0-9_.=+-]+', '-', name)}-{what}"
+    single = [name for name in scenarios if name not in swept]
+    pairs = [(name, what) for name in single for what in (SCORES, ERRORS)]
+    found: dict[tuple[str, str], str] = {}
+    taken: set[str] = set()
+    for pair in [*pairs, *((each.scenario, each.field) for each in sweeps)]:
+        plain = re.sub(r"[^A-Za-z0-9_.=+-]+", "-", pair[0])[:_LONGEST] + f"-{pair[1]}"
+        tried = (f"{plain}-{k}" if k > 1 else plain for k in count(1))
+        found[pair] = next(name for name in tried if name.casefold() not in taken)
+        taken.add(found[pair].casefold())
+    return found
 
 
 def figures(report: Report) -> Iterator[tuple[str, Any]]:
     """Every picture as a Matplotlib figure, by the name of its file."""
+    files = names(list(report.scenarios), report.sweeps)
     for name, scenario in report.single.items():
         if scenario.results:
-            yield _file(name, SCORES), draw_scores(name, scenario, report.episodes)
+            yield files[name, SCORES], draw_scores(name, scenario, report.episodes)
             if all(COLUMN in r.runs[r.median] for r in scenario.results.values()):
-                yield _file(name, ERRORS), draw_errors(name, scenario, report.episodes)
+                yield files[name, ERRORS], draw_errors(name, scenario, report.episodes)
     for sweep in report.sweeps:
-        yield _file(sweep.scenario, sweep.field), draw_sweep(sweep, report)
+        yield files[sweep.scenario, sweep.field], draw_sweep(sweep, report)
 
 
 def _figure(height: float) -> Any:
@@ -186,8 +194,6 @@ def draw_errors(name: str, scenario: Scenario, episodes: int) -> Any:
             window = config.duration - window_ticks(config) * config.control_period
             ax.axvspan(window, config.duration, color=SHADE, linewidth=0, zorder=0, label="scored")
         _finish_errors(axes, len(policies), columns, curves, config.duration)
-        figure.supxlabel(labelled("time", "s"), fontsize=9.0)
-        figure.supylabel(labelled("slot error", "m"), fontsize=9.0)
         figure.suptitle(
             f"{name}: slot error over {_over(episodes)} and followers; at most {CAP:g} m, which also "
             "stands after a failure",
@@ -216,7 +222,7 @@ def _errors(ax: Any, own: Curve, best: Curve | None) -> None:
     ax.plot(own.time, shown[1], color=COLOURS[0], label="median")
     if best is not None:
         ax.plot(best.time, np.maximum(best.median, _FLOOR), color=DARK, linewidth=1.0,
-                linestyle=(0, (3, 2)), label="median of the best score")  # fmt: skip
+                linestyle=(0, (3, 2)), label="median of the best policy")  # fmt: skip
 
 
 def _trigger(ax: Any, result: Result, own: Curve, limit: float) -> None:
@@ -242,6 +248,10 @@ def _finish_errors(
     for k, ax in enumerate(axes):
         ax.set_visible(k < panels)
         ax.tick_params(labelbottom=k + columns >= panels)
+        if k % columns == 0:
+            ax.set_ylabel(labelled("slot error", "m"))
+        if k + columns >= len(axes):
+            ax.set_xlabel(labelled("time", "s"))
 
 
 # -- sweeps ---------------------------------------------------------------------------------------
@@ -295,20 +305,28 @@ def _swept(ax: Any, k: int, policy: str, sweep: Sweep, report: Report) -> None:
     hollow = np.array([s.untrained(policy) for s in each if policy in s.results])
     order = np.argsort(_places(sweep)[there])
     x, (value, low, high) = _places(sweep)[there][order], scores[order].T
-    colour, mark = COLOURS[k % len(COLOURS)], MARKS[k % len(MARKS)]
-    ax.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
-    ax.plot(x, value, color=colour, marker=mark, markersize=5.0, label=policy, clip_on=False,
-            linestyle="-" if k < len(COLOURS) else "--")  # fmt: skip
+    mark, size = MARKS[k % len(MARKS)], 8.0 if MARKS[k % len(MARKS)] == "*" else 5.0
+    above = 2.0 + 0.1 * (k % len(_LINES))  # solid lines, which would hide others
+    look = {"color": COLOURS[k % len(COLOURS)], "markersize": size, "zorder": above}
+    if sweep.numeric:
+        ax.fill_between(x, low, high, color=look["color"], alpha=0.12, linewidth=0)
+        ax.plot(x, value, marker=mark, linestyle=_LINES[k % len(_LINES)], label=policy,
+                clip_on=False, **look)  # fmt: skip
+    else:  # nothing lies between two values
+        ax.errorbar(
+            x, value, (value - low, high - value), fmt=mark, capsize=5.0, label=policy, **look
+        )
     elsewhere = hollow[order]
     if elsewhere.any():
-        ax.plot(x[elsewhere], value[elsewhere], mark, markersize=5.0, color=colour, clip_on=False,
-                markerfacecolor="white", label=f"{policy}{ELSEWHERE} (another task)")  # fmt: skip
+        ax.plot(x[elsewhere], value[elsewhere], mark, markerfacecolor="white",
+                label=f"{policy}{ELSEWHERE} (another task)", clip_on=False, **look)  # fmt: skip
 
 
 def _field_axis(ax: Any, sweep: Sweep) -> None:
     ax.set_xlabel(labelled(sweep.field, sweep.unit))
     if not sweep.numeric:
         ax.set_xticks(_places(sweep), sweep.texts)
+        ax.set_xlim(-0.5, len(sweep.values) - 0.5)
         return
     if len(sweep.values) <= _TICKS:
         ax.set_xticks(sorted(_places(sweep)))

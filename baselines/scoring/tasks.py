@@ -67,17 +67,17 @@ def read_sweep(text: str) -> Setting:
 
 
 def _evenly(text: str, first: str, last: str, number: str) -> tuple[float, ...]:
-    """The values of a sweep `text`: whole numbers where all of them are, as counts have to be."""
+    """The values of a sweep `text`; whole ones are integers, as those of counts have to be."""
     try:
         low, high, count = float(first), float(last), int(number)
     except ValueError:
         raise ValueError(f"{text!r}: expected numbers LOW:HIGH and a whole number COUNT") from None
     if not np.isfinite((low, high)).all() or low == high:
-        raise ValueError(f"{text!r}: expected LOW and HIGH finite, one not the other")
+        raise ValueError(f"{text!r}: expected finite LOW and HIGH that differ")
     if not 2 <= count <= MOST:
         raise ValueError(f"{text!r}: expected COUNT from 2 to {MOST}")
     values = [float(f"{x:.12g}") for x in np.linspace(low, high, count)]
-    return tuple(map(int, values) if all(map(float.is_integer, values)) else values)
+    return tuple(int(x) if x.is_integer() else x for x in values)
 
 
 def _halves(text: str, usage: str) -> tuple[str, str]:
