@@ -338,7 +338,8 @@ def _write(result: Report, further: Further, given: argparse.Namespace, command:
     write_text(folder / "results.md", about + report.markdown(result))
     written = [folder / "results.md", folder / "results.json"]
     if given.plot is not None:
-        written.append(plots.plot(result, given.plot)[0].parent)
+        plots.plot(result, given.plot)
+        written.append(given.plot)
     if given.matrix is not None:
         written.append(suite.write(suite.matrix(result), given.matrix))
     if given.leaderboard is not None:

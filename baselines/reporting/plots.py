@@ -84,7 +84,8 @@ def figures(report: Report) -> Iterator[tuple[str, Any]]:
             if all(COLUMN in r.runs[r.median] for r in scenario.results.values()):
                 yield files[name, ERRORS], draw_errors(name, scenario, report.episodes)
     for sweep in report.sweeps:
-        yield files[sweep.scenario, sweep.field], draw_sweep(sweep, report)
+        if any(report.scenarios[name].results for name in sweep.scenarios):
+            yield files[sweep.scenario, sweep.field], draw_sweep(sweep, report)
 
 
 def _figure(height: float) -> Any:
