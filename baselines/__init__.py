@@ -11,6 +11,7 @@ from baselines.registry import METHODS, POLICIES, make_policy
 if TYPE_CHECKING:
     from baselines.evaluate import evaluate as evaluate
     from baselines.replay import replay as replay
+    from baselines.reporting.plots import plot as plot
 
 __all__ = [
     "METHODS",
@@ -22,6 +23,7 @@ __all__ = [
     "UntunedWarning",
     "evaluate",
     "make_policy",
+    "plot",
     "replay",
 ]
 
@@ -32,4 +34,8 @@ def __getattr__(name: str) -> Any:
         import importlib
 
         return importlib.import_module(f"baselines.{name}")
+    if name == "plot":
+        from baselines.reporting.plots import plot
+
+        return plot
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -6,9 +6,9 @@ The score is absolute, 0 to 1: it needs no other policy. Results do not depend o
 on whether the episodes are shared out over a Ray cluster (`--ray`).
 
 Writes the full report, `results.json` (layout: see `baselines.reporting.report`) and `results.md`, into the
-output folder, then prints the scores. `--matrix` also writes every episode's figures, `--leaderboard`
-`LEADERBOARD.md`, its pages and the README's extract of it. From Python the same is
-`baselines.evaluate(policies, scenarios)`: this module can be called.
+output folder, then prints the scores. `--plot` also draws them (`baselines.reporting.plots`), `--matrix`
+writes every episode's figures, `--leaderboard` `LEADERBOARD.md`, its pages and the README's extract of it.
+From Python the same is `baselines.evaluate(policies, scenarios)`: this module can be called.
 """
 
 from __future__ import annotations
@@ -28,15 +28,23 @@ from typing import Any, final
 
 from baselines.own import PolicyError, label
 from baselines.registry import available
-from baselines.reporting import board, report
+from baselines.reporting import board, plots, report
 from baselines.reporting.further import Further, fly_further
 from baselines.scoring import cluster, options, suite
 from baselines.scoring import evaluation as scoring
 from baselines.scoring.evaluation import EPISODES, Executor
-from baselines.scoring.results import Report, summary
+from baselines.scoring.results import Report, Sweep, summary
 from baselines.scoring.runs import find_runs
-from baselines.scoring.tasks import changed, check_scenario, tasks
-from baselines.system import console
+from baselines.scoring.tasks import (
+    at_values,
+    changed,
+    check_scenario,
+    read_sweep,
+    scenario_fields,
+    swept,
+    tasks,
+)
+from baselines.system import console, pictures
 from baselines.system.progress import compiling
 from baselines.system.text import wrapped
 from baselines.system.writing import FolderTaken, claim, write_text
@@ -67,6 +75,8 @@ def evaluate(
     seed: int = 0,
     threads: int | None = None,
     quiet: bool = False,
+    sweep: str | Sequence[str] = (),
+    plot: str | Path | None = None,
 ) -> Report:
     """Score policies on scenarios, on the seeds `seed` to `seed + episodes - 1` for each.
 
@@ -76,21 +86,42 @@ def evaluate(
     method (as are names that end in `#0`, `#1`, ...) and makes one row. `scenarios`: one or a list of names
     (`"paper"`, `"paper:rates"`), or a dictionary from names of yours to `FormationConfig`s or to
     dictionaries of fields, such as `{"windy": {"scenario": "paper", "gust": 0.5}}`.
-    `threads` is by default one for each core; `quiet` shows no progress.
+    `threads` is by default one for each core; `quiet` shows no progress. `sweep`: one or a list of
+    `"gust=0:2:9"` as the command's `--sweep` takes them: every scenario is flown once for each value, on the
+    same seeds. `plot`: a folder for pictures of the results, as `--plot` (or later `baselines.plot`) writes
+    them.
 
     The result prints as a table. `result.scenarios[name].results[policy]` holds the score with its interval,
     the metrics, the failures and every episode of each run. Raises `ValueError` naming what is wrong, and
-    `PolicyError` where your own policy fails in flight.
+    `PolicyError` where your own policy fails in flight; `OSError` where the folder cannot be written.
     """
+    if plot is not None:
+        if not pictures.installed():
+            raise ValueError(f"plot = {str(plot)!r}: {pictures.MISSING}")
+        with claim(Path(plot)):  # before anything flies
+            pass
     threads = os.cpu_count() or 1 if threads is None else integer("threads", threads, 1, 1024)
     episodes = integer("episodes", episodes, 1, 1_000_000)
     seed = integer("seed", seed, 0, 2**32)
     named = _by_name(policies)
     with compiling(quiet):
-        configs = _configurations(scenarios)
+        configs, sweeps = _configurations(scenarios, sweep)
         flyable = scoring.find_flyable(configs, named)
         scoring.warm(configs, flyable)
-    return scoring.evaluate(configs, named, episodes, seed, threads, quiet, flyable=flyable)
+    found = scoring.evaluate(
+        configs,
+        named,
+        episodes,
+        seed,
+        threads,
+        quiet,
+        flyable=flyable,
+        sweeps=sweeps,
+        curves=plot is not None,
+    )
+    if plot is not None:
+        plots.plot(found, plot)
+    return found
 
 
 def _by_name(policies: Any) -> dict[str, Any]:
@@ -110,18 +141,28 @@ def _by_name(policies: Any) -> dict[str, Any]:
     return found
 
 
-def _configurations(scenarios: Any) -> dict[str, FormationConfig]:
+def _configurations(
+    scenarios: Any, sweep: str | Sequence[str]
+) -> tuple[dict[str, FormationConfig], tuple[Sweep, ...]]:
+    """By name, once for each value of a sweep. Raises `ValueError` naming task and field."""
+    settings = [read_sweep(text) for text in ([sweep] if isinstance(sweep, str) else sweep)]
+    origins: dict[str, Any]
     if isinstance(scenarios, FormationConfig):
-        return {scenarios.scenario: scenarios}
-    if isinstance(scenarios, Mapping):
-        return {
-            str(name): each if isinstance(each, FormationConfig) else changed(each, [])
-            for name, each in scenarios.items()
-        }
-    names = [scenarios] if isinstance(scenarios, str) else list(scenarios)
-    for name in names:
-        check_scenario(name)
-    return tasks(names)
+        origins = {scenarios.scenario: scenarios}
+    elif isinstance(scenarios, Mapping):
+        origins = {str(name): each for name, each in scenarios.items()}
+    else:
+        names = [scenarios] if isinstance(scenarios, str) else list(scenarios)
+        for name in names:
+            check_scenario(name)
+        origins = {name: scenario_fields(name) for name in names}
+    if settings:
+        return at_values(origins, settings), swept(list(origins), settings)
+    made = {
+        name: each if isinstance(each, FormationConfig) else changed(each, [])
+        for name, each in origins.items()
+    }
+    return made, ()
 
 
 # -- the command ----------------------------------------------------------------------------------
@@ -142,12 +183,14 @@ def _configs(given: argparse.Namespace) -> dict[str, FormationConfig]:
     if given.scenarios is None:
         all_scenarios = list(SCENARIOS if given.leaderboard is None else BOARD_SCENARIOS)
         given.scenarios = [] if given.config else all_scenarios
+    origins = [*given.scenarios, *(path.stem for path in given.config)]
+    given.swept = swept(origins, given.sweeps)
     return tasks(
         given.scenarios, given.config, given.settings, given.sweeps, given.action, given.duration
     )
 
 
-def _claim(given: argparse.Namespace, stack: ExitStack) -> None:
+def _claim(given: argparse.Namespace, scenarios: Sequence[str], stack: ExitStack) -> None:
     """Claim the folders that are written into. Raises `ValueError` naming what cannot be written."""
     written = [given.output / name for name in FILES]
     if given.matrix is not None:
@@ -158,6 +201,11 @@ def _claim(given: argparse.Namespace, stack: ExitStack) -> None:
         except ValueError as problem:
             raise ValueError(f"argument --leaderboard: {problem}") from None
         written.append(given.leaderboard / board.NAME)
+    if given.plot is not None:
+        if not pictures.installed():
+            raise ValueError(f"argument --plot: {pictures.MISSING}")
+        for name in plots.names(scenarios, given.swept).values():
+            written += [given.plot / f"{name}.png", given.plot / f"{name}.svg"]
     folders: dict[Path, tuple[Path, list[str]]] = {}
     for path in written:
         _, names = folders.setdefault(path.parent.resolve(), (path.parent, []))
@@ -240,7 +288,7 @@ def _fly(
             given.policies = getattr(given, "policies", available_policies)
             policies = {name: runs.get(name, name) for name in given.policies}
             flyable = scoring.find_flyable(configs, policies)
-            _claim(given, stack)
+            _claim(given, list(configs), stack)
             if not given.ray:
                 scoring.warm(configs, flyable)
     except ValueError as problem:
@@ -249,7 +297,16 @@ def _fly(
         with _executor(given) as executor:
             g = given
             flown = scoring.evaluate(
-                configs, policies, g.episodes, g.seed, g.threads, False, executor, flyable
+                configs,
+                policies,
+                g.episodes,
+                g.seed,
+                g.threads,
+                False,
+                executor,
+                flyable,
+                g.swept,
+                g.plot is not None,
             )
     except cluster.Unreachable as problem:
         parser.error(str(problem))
@@ -280,6 +337,9 @@ def _write(result: Report, further: Further, given: argparse.Namespace, command:
     write_text(folder / "results.json", report.to_json(result, command))
     write_text(folder / "results.md", about + report.markdown(result))
     written = [folder / "results.md", folder / "results.json"]
+    if given.plot is not None:
+        plots.plot(result, given.plot)
+        written.append(given.plot)
     if given.matrix is not None:
         written.append(suite.write(suite.matrix(result), given.matrix))
     if given.leaderboard is not None:

@@ -8,7 +8,6 @@ the environment's sampled loop. Figures 1 and 10 are drawings without numbers.
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import sys
 import warnings
@@ -23,7 +22,7 @@ from baselines.reproduction.claims_continuous import flight_claims, planar_claim
 from baselines.reproduction.claims_experiment import experiment_claims
 from baselines.reproduction.claims_formation import formation_claims
 from baselines.reproduction.costs import feedforward_costs
-from baselines.system import console
+from baselines.system import console, pictures
 from baselines.system.arguments import Parser, whole
 from baselines.system.writing import claim, write_text
 from formation_env.config import NO_NOISE
@@ -168,11 +167,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     the standard error for a wrong option. The files are written before anything is printed."""
     own = parser()
     args = own.parse_args(argv)
-    if not args.no_plots and importlib.util.find_spec("matplotlib") is None:
-        own.error(
-            'the pictures need Matplotlib: pip install "formation-env[plot]" '
-            "(or leave them out with --no-plots)"
-        )
+    if not args.no_plots and not pictures.installed():
+        own.error(f"{pictures.MISSING} (or leave them out with --no-plots)")
     with warnings.catch_warnings():
         # The paper's own trajectory breaks the sufficient bound (29)-(30); no follower inverts on it.
         warnings.simplefilter("ignore", FeasibilityWarning)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
 from math import ceil, inf
-from typing import Any, final
+from typing import Annotated, Any, final
 
 import numpy as np
 
@@ -39,7 +39,7 @@ from formation_env.physics.sensors import Noise
 from formation_env.physics.vehicle import Vehicle, vector3
 from formation_env.task import ANYWHERE, NEAR, RATE_BOUND, Layout, Limits, Rewards
 from formation_env.trajectories import Trajectory, as_trajectory, figure_eight, path_start
-from formation_env.validation.checks import choice, integer, number, refuse, require
+from formation_env.validation.checks import Unit, choice, integer, number, refuse, require
 from formation_env.validation.plain_form import plain
 
 ACTUATIONS = {"moment": MOMENT, "rates": RATES}
@@ -107,24 +107,27 @@ class FormationConfig:
     path: str = "drawn"  # turned, mirrored and begun elsewhere in every episode; or "as given"
     action: str = "wrench"  # what a follower commands; or "rates", "reference"
     start: str = "formation"  # near the slots, in flight; or "ground"
-    start_offset: float = 0.15  # m, radius of the ball around the slot; start="formation"
+    # Radius of the ball around the slot; start="formation".
+    start_offset: Annotated[float, Unit("m")] = 0.15
     leader_start: Vector | None = None  # on the floor; None: under the first reference point
     follower_starts: tuple[Vector, ...] | None = None  # None: in rows behind the leader
-    trigger: float = 0.25  # m, e_max of (40); start="ground"
-    control_period: float = 0.02  # s, a tick
+    trigger: Annotated[float, Unit("m")] = 0.25  # e_max of (40); start="ground"
+    control_period: Annotated[float, Unit("s")] = 0.02  # a tick
     substeps: int = 4  # of the integrator in a tick
-    duration: float = 20.0  # s, after which an episode is truncated
-    measurement_period: float | None = None  # s; None: the control period
-    measurement_delay: int = 0  # samples by which all that is measured is late
+    duration: Annotated[float, Unit("s")] = 20.0  # after which an episode is truncated
+    measurement_period: Annotated[float | None, Unit("s")] = None  # None: the control period
+    # By which all that is measured is late.
+    measurement_delay: Annotated[int, Unit("samples")] = 0
     estimator: str = "direct"  # all is measured; or "differenced", section IV
-    window: int = 100  # samples in the acceleration's moving average
+    window: Annotated[int, Unit("samples")] = 100  # of the acceleration's moving average
     noise: Noise = NO_NOISE  # white, on what is measured
-    gust: float = 0.0  # m/s^2, standard deviation of a random push on every vehicle
-    gust_time: float = 1.0  # s, its correlation time
+    # Standard deviation of a random push on every vehicle.
+    gust: Annotated[float, Unit("m/s^2")] = 0.0
+    gust_time: Annotated[float, Unit("s")] = 1.0  # its correlation time
     vehicle: Vehicle = PARTS["vehicle"]  # leader and followers
     leader_actuation: str = "moment"  # what flies the leader; or "rates"
     reference_actuation: str = "moment"  # what flies a follower at action="reference"
-    reference_max: Vector = (4.0, 4.0, 4.0)  # m/s^2 at action +-1
+    reference_max: Annotated[Vector, Unit("m/s^2")] = (4.0, 4.0, 4.0)  # at action +-1
     planner: PlannerGains = PARTS["planner"]  # of the expert
     tracker: TrackerGains = PARTS["tracker"]  # vehicles driven by moments
     rates_tracker: TrackerGains = RATES_GAINS  # vehicles driven by rates

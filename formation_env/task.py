@@ -107,7 +107,7 @@ NEIGHBOUR_ENTRIES = entries(Neighbour)
 
 
 # A weight near the end of the floating-point range would make a reward that is not finite.
-_WEIGHT, _LENGTH = Within(0.0, 1e6), Within(1e-6, 1e6)
+_WEIGHT, _LENGTH = Within(0.0, 1e6), Within(1e-6, 1e6, unit="m")
 
 
 class Rewards(NamedTuple):
@@ -120,8 +120,8 @@ class Rewards(NamedTuple):
     exceeds 0.96, above three times `reach` it is below 0.06.
     """
 
-    reach: Annotated[float, _LENGTH] = 0.3  # m, slot error at which the wide half is halved
-    precision: Annotated[float, _LENGTH] = 0.05  # m, slot error at which the narrow half is
+    reach: Annotated[float, _LENGTH] = 0.3  # slot error at which the wide half is halved
+    precision: Annotated[float, _LENGTH] = 0.05  # slot error at which the narrow half is
     waiting: Annotated[float, _WEIGHT] = (
         0.01  # of what closeness lacks of 1 before the trigger (40)
     )
@@ -133,14 +133,12 @@ class Rewards(NamedTuple):
 class Limits(NamedTuple):
     """Where an episode fails."""
 
-    # m, least between the centres of two vehicles: the paper's airframe measures so much
-    collision: Annotated[float, Within(0.0, NEAR, strict=True)] = 0.353
-    impact: Annotated[float, Within(0.0, ANYWHERE, strict=True)] = 1.0  # m/s, fastest touch-down
+    # Least distance between the centres of two vehicles: the paper's airframe measures so much.
+    collision: Annotated[float, Within(0.0, NEAR, True, "m")] = 0.353
+    impact: Annotated[float, Within(0.0, ANYWHERE, True, "m/s")] = 1.0  # fastest touch-down
     tilt: Annotated[float, Within(-1.0, 1.0)] = 0.5  # least r3 . k at touch-down
-    lost: Annotated[float, Within(0.0, ANYWHERE, strict=True)] = 10.0  # m, largest slot error
-    deadline: Annotated[float, Within(0.0, 1e9, strict=True)] = (
-        15.0  # s, for the trigger (40) to fire
-    )
+    lost: Annotated[float, Within(0.0, ANYWHERE, True, "m")] = 10.0  # largest slot error
+    deadline: Annotated[float, Within(0.0, 1e9, True, "s")] = 15.0  # for the trigger (40) to fire
 
 
 class Term(NamedTuple):

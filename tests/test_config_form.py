@@ -30,6 +30,7 @@ from formation_env import (
     trajectories,
 )
 from formation_env.configuration.leader_path import FlightWarning
+from formation_env.configuration.parts import unit_of
 from formation_env.laws.gains import RATES_GAINS
 from formation_env.validation.plain_form import plain
 
@@ -218,3 +219,20 @@ def test_other_objects_keep_their_own_checks() -> None:
     for wrong in (PlannerGains(), TrackerGains(), configure(), Vehicle):
         with pytest.raises(ValueError, match=r"^vehicle = .*: expected a Vehicle, or a dictionary"):
             configure(vehicle=wrong)
+
+
+# -- units ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        *(("gust", "m/s^2"), ("duration", "s"), ("measurement_period", "s"), ("followers", "1")),
+        *(("measurement_delay", "samples"), ("neighbours", "1"), ("noise.attitude", "rad")),
+        *(("planner.k1", "1/s"), ("tracker.k1", "1/s^2"), ("rates_tracker.sigma_max", "m/s^2")),
+        *(("vehicle.mass", "kg"), ("vehicle.thrust_max", "N"), ("vehicle.rate_max", "rad/s")),
+        *(("limits.lost", "m"), ("limits.deadline", "s"), ("reward.reach", "m"), ("noise", "1")),
+    ],
+)
+def test_units_of_fields_and_of_parts(name: str, unit: str) -> None:
+    assert unit_of(FormationConfig, name) == unit

@@ -136,7 +136,8 @@ def test_the_command_flies_file_settings_and_sweep(
     assert document["scenarios"]["mine gust=0.4"]["action"] == "rates"
     repeat = f"--config {mine} --set noise.position=0.01 --sweep gust=0.2,0.4 --episodes 2"
     assert document["command"] == f"python -m baselines.evaluate --policies hover {repeat}"
-    assert "gust=0.4" in capsys.readouterr().out
+    table = capsys.readouterr().out.split("mine: scores by gust, m/s^2\n")[1]
+    assert table.splitlines()[0].split() == ["policy", "0.2", "0.4"]
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from baselines.registry import POLICIES
-from baselines.reporting.pictures import COLOURS, MARKS, RC, TICKS, png, stretch, unstretch
 from baselines.reporting.rows import PAPER, TUNED, laws
 from baselines.scoring.suite import Matrix, performance_profile
+from baselines.system.pictures import COLOURS, MARKS, TICKS, png, stretch, style, unstretch
 from baselines.system.writing import write_bytes
 
 _THRESHOLDS = unstretch(np.linspace(0.0, float(stretch(np.ones(()))), 161))
@@ -37,13 +37,12 @@ def draw(matrix: Matrix, path: Path) -> None:
 
     The same matrix gives the same bytes with the same Matplotlib. Raises `OSError`, `ModuleNotFoundError`.
     """
-    import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     shown = panels(matrix)
-    with matplotlib.rc_context({**matplotlib.rcParamsDefault, **RC, "backend": "agg"}):
+    with style():
         figure = Figure(figsize=(9.0, 3.9), dpi=100, layout=ConstrainedLayoutEngine(wspace=0.04))
         canvas = FigureCanvasAgg(figure)
         axes = figure.subplots(1, max(1, len(shown)), sharey=True, squeeze=False)[0]

@@ -18,7 +18,9 @@ The JSON document, `results.json` (no NaN: a figure that no episode has is null)
                            "differs": whether it flies another task than it was trained for,
                            "teacher": the policy that it is a clone of or "", "history": observations seen,
                            "hidden": [widths of the hidden layers]}},
-         "absent": {policy: why it does not fly here}}}}
+         "absent": {policy: why it does not fly here}}},
+     "sweeps": [{"scenario": name, "field": name, "unit": of the values, "values": [value, ...],
+                 "scenarios": [name in "scenarios" of each value]}]}
 
 with `estimate = [value, low, high, episodes]`: the mean over so many episodes (of `settling_time` the median)
 and its 95 % interval; of several training runs the median run's, with an interval over runs and episodes.
@@ -37,7 +39,7 @@ import formation_env
 from baselines.reporting.cells import figure, interval, listed, markdown_table, scored, signed
 from baselines.scoring.intervals import LEVEL, RESAMPLES, Estimate
 from baselines.scoring.metrics import EPISODE, window_ticks
-from baselines.scoring.results import Report, Result, Scenario, Source
+from baselines.scoring.results import Report, Result, Scenario, Source, Sweep
 from formation_env import FormationConfig
 
 SCORE = (
@@ -65,6 +67,7 @@ def to_json(report: Report, command: str | None = None) -> str:
         },
         "metrics": {name: metric._asdict() for name, metric in EPISODE.items()},
         "scenarios": {name: _scenario(each) for name, each in report.scenarios.items()},
+        "sweeps": [_sweep(each) for each in report.sweeps],
     }
     return _lines(document, 4) + "\n"
 
@@ -75,6 +78,10 @@ def _lines(value: Any, depth: int) -> str:
         return json.dumps(value, allow_nan=False)
     each = (f"{json.dumps(key)}: {_lines(x, depth - 1)}" for key, x in value.items())
     return "{\n" + ",\n".join(each) + "\n}"
+
+
+def _sweep(sweep: Sweep) -> dict[str, Any]:
+    return {name: value for name, value in sweep._asdict().items() if name != "texts"}
 
 
 def _scenario(scenario: Scenario) -> dict[str, Any]:

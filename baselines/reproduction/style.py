@@ -1,4 +1,4 @@
-"""How the pictures look: colours, markers and small helpers shared by all of them."""
+"""What the paper's figures have beside the style of all pictures: colours of the vehicles, marks."""
 
 from __future__ import annotations
 
@@ -7,35 +7,20 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 from matplotlib.figure import Figure
 
+from baselines.system.pictures import COLOURS, DARK, PALE, style
 from formation_env.paths.references import Floats
 
-# Colours that stay apart for colour-blind readers (Okabe and Ito).
-LEADER, REFERENCE = "#222222", "#9a9a9a"
-FOLLOWERS = ("#0072B2", "#D55E00")
-AXES = ("#009E73", "#E69F00", "#CC79A7")  # x, y, z components
-_STYLE: Any = {
-    "font.size": 9.0,
-    "axes.titlesize": 9.5,
-    "axes.labelsize": 9.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#e4e4e4",
-    "grid.linewidth": 0.6,
-    "lines.linewidth": 1.3,
-    "legend.frameon": False,
-    "legend.fontsize": 8.0,
-    "legend.handlelength": 1.8,
-}
+LEADER, REFERENCE = DARK, PALE
+FOLLOWERS = (COLOURS[0], COLOURS[4])
+AXES = (COLOURS[2], COLOURS[1], COLOURS[3])  # x, y, z components
 
 
 @contextmanager
 def picture(path: Path, width: float, height: float) -> Iterator[Any]:
     """A figure (inches) that is written to `path` at the end, without any window or global state."""
-    with matplotlib.rc_context(_STYLE):
+    with style():
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure
         figure.savefig(path, dpi=160)

@@ -134,6 +134,7 @@ def _fly(
     recipe: Recipe,
     seeds: range,
     world: FormationConfig | None,
+    curves: bool,
     version: str,
 ) -> Episodes:
     """A worker's part. Raises `RuntimeError` where it has another version of this package."""
@@ -141,7 +142,7 @@ def _fly(
         raise RuntimeError(
             f"{platform.node()} has formation-env {formation_env.__version__}, expected {version}"
         )
-    return fly(recipe.make(config), seeds, world=world)
+    return fly(recipe.make(config), seeds, world=world, curves=curves)
 
 
 def fly_all(ray: Any, flights: Sequence[Flight], progress: Callable[[int], None]) -> list[Episodes]:
@@ -156,7 +157,9 @@ def fly_all(ray: Any, flights: Sequence[Flight], progress: Callable[[int], None]
     each = {id(f.recipe): f.recipe for f in flights}
     recipes = {key: ray.put(recipe) for key, recipe in each.items()}
     references = [
-        task.remote(f.config, recipes[id(f.recipe)], f.seeds, f.world, formation_env.__version__)
+        task.remote(
+            f.config, recipes[id(f.recipe)], f.seeds, f.world, f.curves, formation_env.__version__
+        )
         for f in flights
     ]
     ticks = {reference: f.ticks for reference, f in zip(references, flights, strict=True)}

@@ -13,7 +13,7 @@ from baselines.policies.base import Policy
 from baselines.policies.learned import Misfit
 from baselines.policies.transfer import differences, transfer_unwarned
 from baselines.registry import POLICIES, Recipe, Unshipped, shipped_file
-from baselines.scoring.results import REFERENCES, Report, Scenario, Source, judge
+from baselines.scoring.results import REFERENCES, Report, Scenario, Source, Sweep, judge
 from baselines.scoring.rollout import Episodes, chunks, fly, joined
 from baselines.scoring.runs import make_row, rows_of, run_names, teacher_of
 from baselines.system.progress import Bar, compiling
@@ -31,6 +31,7 @@ class Flight(NamedTuple):
     recipe: Recipe
     seeds: range
     world: FormationConfig | None = None  # that is flown, if it is another one
+    curves: bool = False  # whether slot errors against time are gathered
 
     @property
     def flown(self) -> FormationConfig:
@@ -101,13 +102,16 @@ def evaluate(
     quiet: bool = True,
     executor: Executor | None = None,
     flyable: Mapping[str, Flyable] | None = None,
+    sweeps: Sequence[Sweep] = (),
+    curves: bool = False,
 ) -> Report:
     """Score `policies` on named configurations, seeds `seed` to `seed + episodes - 1` for each.
 
     A policy flies where it fits, by `executor` or else on so many threads of this process. `flyable` is
     what `find_flyable` gave for these, if that has been called, and `warm` too if they fly
-    here. Raises `ValueError` as `find_flyable` does, `PolicyError` where a user's own policy fails, and
-    what the executor raises.
+    here. `sweeps` says which of the configurations are the values of one field; `curves` has slot errors
+    against time gathered in the others. Raises `ValueError` as `find_flyable` does, `PolicyError` where a
+    user's own policy fails, and what the executor raises.
     """
     if flyable is None:
         with compiling(quiet):
@@ -115,8 +119,11 @@ def evaluate(
             if executor is None:
                 warm(configs, flyable)
     seeds = range(seed, seed + episodes)
+    swept = {name for each in sweeps for name in each.scenarios}
     flights = {
-        (name, row, run): Flight(config, flyable[name].recipes[row][run], seeds)
+        (name, row, run): Flight(
+            config, flyable[name].recipes[row][run], seeds, curves=curves and name not in swept
+        )
         for name, config in configs.items()
         for row, run in run_names(flyable[name].recipes)
     }
@@ -126,7 +133,7 @@ def evaluate(
     scenarios = {
         name: _scenario(config, flyable[name], columns[name]) for name, config in configs.items()
     }
-    return Report(seed, episodes, scenarios)
+    return Report(seed, episodes, scenarios, tuple(sweeps))
 
 
 def _scenario(
@@ -231,7 +238,7 @@ def _fly_here(flights: Sequence[Flight], threads: int, bar: Bar) -> list[Episode
 def _fly(policy: Policy, flight: Flight, bar: Bar) -> Episodes:
     """One flight. Raises `PolicyError` where a user's own policy fails."""
     try:
-        return fly(policy, flight.seeds, bar.advance, world=flight.world)
+        return fly(policy, flight.seeds, bar.advance, world=flight.world, curves=flight.curves)
     except Exception as problem:
         if not flight.recipe.own or bar.stopped:
             raise

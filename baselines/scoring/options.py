@@ -43,9 +43,11 @@ your own controller, vehicle, path and gains:
   --set 'trajectory={"path": "circle", "radius": 2.0}'
   --config mine.json      the same fields as a JSON object; "scenario" in it
                           names the scenario that they change (nominal)
-a table for each value:
+robustness against a field, the same episodes at each of its values:
   --sweep gust=0:2:9                   nine values from 0 to 2
   --sweep noise.position=0,0.1,0.2     those; several sweeps are combined
+  --sweep measurement_delay=0:4:5 --plot pictures
+                          the scores by value also as a picture
 fields and units: `python -c "help('formation_env.config.FormationConfig')"`
 """
 
@@ -87,7 +89,8 @@ def _add_what(own: Parser) -> None:
     add("--sweep", type=reader(tasks.read_sweep), action="append", default=[],
         metavar="FIELD=VALUES", dest="sweeps",
         help="Fly every scenario once for each value of a field, in SI units, given as LOW:HIGH:COUNT or "
-        "VALUE,VALUE,...; may be repeated. (default: no sweep)")  # fmt: skip
+        "VALUE,VALUE,...; scores are shown by value. May be repeated: all values are combined, and the first "
+        "field is shown against each combination of the others. (default: no sweep)")  # fmt: skip
     add("--episodes", type=whole(1, 1_000_000), default=EPISODES, metavar="N",
         help="Number of episodes of each policy on each scenario. (default: %(default)s)")  # fmt: skip
     add("--seed", type=whole(0, 2**32), default=0, metavar="N",
@@ -106,6 +109,10 @@ def _add_how(own: Parser) -> None:
     add("--output", type=Path, default=Path("results"), metavar="DIR",
         help="Folder that the full report, results.md and results.json, is written to. "
         "(default: %(default)s)")  # fmt: skip
+    add("--plot", type=Path, metavar="DIR",
+        help="Folder that pictures are written to, as PNG and SVG: of each scenario the scores with their "
+        "intervals, and the slot errors against time with their spread over episodes; of each sweep the "
+        "scores by value. Needs Matplotlib (extra plot). (default: no pictures)")  # fmt: skip
     add("--matrix", type=Path, metavar="FILE",
         help="File that every episode's score, slot errors, failure and seconds to the start are written to, "
         "by method, training run, scenario and seed: compressed NumPy arrays, FILE.npz, read by "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -82,17 +82,40 @@ class Scenario(NamedTuple):
         return source is not None and source.differs
 
 
+class Sweep(NamedTuple):
+    """One scenario at several values of one field, the same episodes at each."""
+
+    scenario: str  # perhaps with the values of further fields that are swept
+    field: str  # with the name of a part of it after a dot
+    unit: str
+    values: tuple[Any, ...]  # in the order given
+    texts: tuple[str, ...]  # of each value
+    scenarios: tuple[str, ...]  # the report's name of each
+
+    @property
+    def numeric(self) -> bool:
+        """Whether the values are numbers, so that they lie on an axis."""
+        return all(type(x) in (int, float) for x in self.values)
+
+
 class Report(NamedTuple):
     """A whole evaluation."""
 
     seed: int  # of the first episode of each scenario
     episodes: int  # of each policy on each scenario
     scenarios: dict[str, Scenario]
+    sweeps: tuple[Sweep, ...] = ()  # the scenarios that belong together
 
     @property
     def policies(self) -> list[str]:
         """The policies that have flown at least one scenario."""
         return list(dict.fromkeys(p for s in self.scenarios.values() for p in s.results))
+
+    @property
+    def single(self) -> dict[str, Scenario]:
+        """The scenarios that are no value of a sweep."""
+        swept = {name for each in self.sweeps for name in each.scenarios}
+        return {name: each for name, each in self.scenarios.items() if name not in swept}
 
     @property
     def native(self) -> tuple[str, ...]:
@@ -134,20 +157,26 @@ _MOST_TABLES = 6  # scenarios that are shown in a table each
 
 
 def summary(report: Report, columns: int | None = None) -> str:
-    """A table for each of a few scenarios, one of all scores, and what the marks mean, at most `columns` wide
-    (by default: the terminal, at most `WIDEST`)."""
+    """A table for each of a few scenarios, one of all scores, one for each sweep, and what the marks mean, at
+    most `columns` wide (by default: the terminal, at most `WIDEST`)."""
     columns = min(width(), WIDEST) if columns is None else columns
     count = f"{report.episodes} episode{'s' if report.episodes > 1 else ''}"
-    head = f"{count} for each policy and scenario; score: mean reward in the window, 0 to 1, 1 is exact"
-    scenarios = report.scenarios
-    few = len(scenarios) <= _MOST_TABLES
+    each = ", scenario and value, on the same seeds" if report.sweeps else " and scenario"
+    head = f"{count} for each policy{each}; score: mean reward in the window, 0 to 1, 1 is exact"
+    scenarios = report.single
+    few = 0 < len(scenarios) <= _MOST_TABLES
     if few:
         head += ", with its 95 % interval; slot error in the window and in its second half"
     parts = [wrapped(head, columns)]
     if few:
         parts += [f"{name}\n{_figures(each, columns)}" for name, each in scenarios.items()]
     if len(scenarios) > 1:
-        parts.append(f"scores\n{_scores(report, columns)}")
+        parts.append(f"scores\n{_scores(report, {name: name for name in scenarios}, columns)}")
+    for sweep in report.sweeps:
+        names = dict(zip(sweep.texts, sweep.scenarios, strict=True))
+        unit = "" if sweep.unit == "1" else f", {sweep.unit}"
+        title = wrapped(f"{sweep.scenario}: scores by {sweep.field}{unit}", columns)
+        parts.append(f"{title}\n{_scores(report, names, columns)}")
     notes = list(_notes(report))
     if notes:
         parts.append("\n".join(wrapped(note, columns) for note in notes))
@@ -175,15 +204,15 @@ def _figures(scenario: Scenario, columns: int) -> str:
     return table("policy", list(scenario.results), ["score", *_COLUMNS], cell, columns)
 
 
-def _scores(report: Report, columns: int) -> str:
-    """A line for each policy and a column for each scenario."""
-    scenarios = report.scenarios
+def _scores(report: Report, names: Mapping[str, str], columns: int) -> str:
+    """A line for each policy and a column for each heading, of the scenario that it names."""
 
-    def cell(policy: str, name: str) -> str:
-        result = scenarios[name].results.get(policy)
-        return f"{result.score.value:.3f}{_mark(scenarios[name], policy)}" if result else "- "
+    def cell(policy: str, heading: str) -> str:
+        scenario = report.scenarios[names[heading]]
+        result = scenario.results.get(policy)
+        return f"{result.score.value:.3f}{_mark(scenario, policy)}" if result else "- "
 
-    return table("policy", report.policies, list(scenarios), cell, columns)
+    return table("policy", report.policies, list(names), cell, columns)
 
 
 def _mark(scenario: Scenario, policy: str) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.policies.base import Policy
+from baselines.scoring.curves import COLUMN, Gatherer
 from baselines.scoring.metrics import add_tick, begin, episodes, flight_ticks, window_ticks
 from formation_env import FormationConfig
 from formation_env.core.simulation import Simulation, seeded_key
@@ -56,6 +57,7 @@ def fly(
     watch: Watch | None = None,
     times: int = 1,
     world: FormationConfig | None = None,
+    curves: bool = False,
 ) -> Episodes:
     """One episode for each of the consecutive `seeds`; the columns are `metrics.EPISODE`.
 
@@ -63,7 +65,8 @@ def fly(
     world. `most` ends them after so many ticks, for a first use that only compiles. `progress` is called
     after every tick with the number of worlds, whose ticks have been done; what it raises stops the flight.
     `watch` sees every tick that has been flown. `world` is what is flown and scored, by default the policy's
-    own configuration: another one is a world that the policy has not been told of.
+    own configuration: another one is a world that the policy has not been told of. `curves` adds
+    the column `curves.COLUMN`, of slot errors against time, and changes no other number.
     """
     config, worlds = world or policy.config, times * len(seeds)
     simulation = Simulation(config, worlds)
@@ -74,6 +77,7 @@ def fly(
     tally, window = begin(simulation.started), window_ticks(config)
     actions = np.zeros((worlds, config.followers, config.action_size), dtype=np.float32)
     offsets = np.array(config.offsets)
+    gatherer = Gatherer(config, worlds) if curves else None
     live, living = np.ones(worlds, dtype=np.bool_), worlds
     last = config.max_steps if most is None else min(most, config.max_steps)
     for tick in range(1, last + 1):
@@ -88,6 +92,8 @@ def fly(
         results = simulation.step(actions, mask=live)
         if watch is not None:
             watch(simulation, live, actions)
+        if gatherer is not None:
+            gatherer.add(tick, live & ~results.terminated, results.outputs)
         living = add_tick(
             tally,
             tick,
@@ -104,4 +110,5 @@ def fly(
             before,
             offsets,
         )
-    return episodes(tally, config)
+    found = episodes(tally, config)
+    return found if gatherer is None else {**found, COLUMN: gatherer.errors}

@@ -18,8 +18,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from baselines.scoring.results import Sweep
 from baselines.system.reading import read_json
 from formation_env import SCENARIOS, FormationConfig, configure
+from formation_env.configuration.parts import unit_of
 from formation_env.laws.levels import NAMES as LEVEL_NAMES
 from formation_env.trajectories import Trajectory
 from formation_env.validation.checks import shown
@@ -51,14 +53,8 @@ def read_sweep(text: str) -> Setting:
     name, value = _halves(text, usage)
     parts = value.split(":")
     if len(parts) == 3:
-        try:
-            low, high, count = float(parts[0]), float(parts[1]), int(parts[2])
-        except ValueError:
-            raise ValueError(f"{text!r}: expected {usage}") from None
-        if not (np.isfinite((low, high)).all() and 2 <= count <= MOST):
-            raise ValueError(f"{text!r}: expected finite numbers and 2 to {MOST} values")
-        values = tuple(float(f"{x:.12g}") for x in np.linspace(low, high, count))
-        return Setting(name, values, tuple(f"{x:g}" for x in values), value)
+        values = _evenly(text, *parts)
+        return Setting(name, values, tuple(f"{x:.12g}" for x in values), value)
     try:
         items = json.loads(f"[{value}]")
         texts = [json.dumps(item) for item in items]
@@ -68,6 +64,20 @@ def read_sweep(text: str) -> Setting:
     if len(set(texts)) < len(texts) or not texts:
         raise ValueError(f"{text!r}: expected values that differ, {usage}")
     return Setting(name, tuple(items), tuple(texts), value)
+
+
+def _evenly(text: str, first: str, last: str, number: str) -> tuple[float, ...]:
+    """The values of a sweep `text`; whole ones are integers, as those of counts have to be."""
+    try:
+        low, high, count = float(first), float(last), int(number)
+    except ValueError:
+        raise ValueError(f"{text!r}: expected numbers LOW:HIGH and a whole number COUNT") from None
+    if not np.isfinite((low, high)).all() or low == high:
+        raise ValueError(f"{text!r}: expected finite LOW and HIGH that differ")
+    if not 2 <= count <= MOST:
+        raise ValueError(f"{text!r}: expected COUNT from 2 to {MOST}")
+    values = [float(f"{x:.12g}") for x in np.linspace(low, high, count)]
+    return tuple(int(x) if x.is_integer() else x for x in values)
 
 
 def _halves(text: str, usage: str) -> tuple[str, str]:
@@ -101,12 +111,25 @@ def tasks(
     """
     overrides = {"action": action, "duration": duration}
     common = {field: value for field, value in overrides.items() if value is not None}
-    origins = {name: {**common, **_scenario(name)} for name in scenarios}
+    origins = {name: {**common, **scenario_fields(name)} for name in scenarios}
     for path in files:
         if path.stem in origins:
             raise ValueError(f"{path}: there are two tasks of the name {path.stem!r}")
         origins[path.stem] = {**_fields(path), **common}
-    always = [(s.field, s.values[0]) for s in settings]
+    return at_values(origins, sweeps, [(s.field, s.values[0]) for s in settings])
+
+
+def at_values(
+    origins: Mapping[str, FormationConfig | Mapping[str, Any]],
+    sweeps: Sequence[Setting],
+    always: Sequence[tuple[str, Any]] = (),
+) -> dict[str, FormationConfig]:
+    """What `changed` makes of each origin, with some changes always, once for every combination of the
+    sweeps' values. Raises `ValueError` naming the task and the field."""
+    fields_swept = [s.field for s in sweeps]
+    for field in fields_swept:
+        if fields_swept.count(field) > 1:
+            raise ValueError(f"{field} is swept twice: expected one sweep of each field")
     points = list(_points(sweeps))
     if len(points) * len(origins) > MOST:
         raise ValueError(f"{len(points) * len(origins)} tasks: expected at most {MOST}")
@@ -123,11 +146,35 @@ def _points(sweeps: Sequence[Setting]) -> Iterator[tuple[str, list[tuple[str, An
     """Every combination of the sweeps' values: what it adds to a task's name, and the fields."""
     for point in product(*(zip(s.values, s.texts, strict=True) for s in sweeps)):
         each = list(zip(sweeps, point, strict=True))
-        suffix = "".join(f" {s.field}={text}" for s, (_, text) in each)
+        suffix = "".join(_suffix(s.field, text) for s, (_, text) in each)
         yield suffix, [(s.field, value) for s, (value, _) in each]
 
 
-def _scenario(name: str) -> dict[str, Any]:
+def _suffix(field: str, text: str) -> str:
+    return f" {field}={text}"
+
+
+def swept(names: Sequence[str], sweeps: Sequence[Setting]) -> tuple[Sweep, ...]:
+    """The tasks that `tasks` makes of those of some `names`, by what the first sweep's field alone tells
+    apart; none without sweeps."""
+    if not sweeps:
+        return ()
+    (first, *others), unit = sweeps, unit_of(FormationConfig, sweeps[0].field)
+    return tuple(
+        Sweep(
+            name + suffix,
+            first.field,
+            unit,
+            first.values,
+            first.texts,
+            tuple(name + _suffix(first.field, text) + suffix for text in first.texts),
+        )
+        for name, (suffix, _) in product(names, list(_points(others)))
+    )
+
+
+def scenario_fields(name: str) -> dict[str, Any]:
+    """The fields that the name of a scenario, perhaps with an action level, stands for."""
     scenario, _, level = name.partition(":")
     return {"scenario": scenario, **({"action": level} if level else {})}
 
@@ -146,15 +193,21 @@ def _fields(path: Path) -> dict[str, Any]:
     return fields
 
 
-def changed(fields: Mapping[str, Any], changes: Sequence[tuple[str, Any]]) -> FormationConfig:
-    """A scenario's configuration with some fields, then changes of fields or of parts of them.
+def changed(
+    origin: FormationConfig | Mapping[str, Any], changes: Sequence[tuple[str, Any]]
+) -> FormationConfig:
+    """A configuration, or the fields of one that a scenario completes, with changes of fields or of parts.
 
     Raises `ValueError` or `TypeError` naming the field.
     """
-    whole = {name: value for name, value in changes if "." not in name}
-    fields = {"scenario": "nominal", **fields, **whole}
+    if isinstance(origin, FormationConfig):
+        scenario, fields = origin, {}
+    else:
+        fields = {"scenario": "nominal", **origin}
+        scenario = fields.pop("scenario")
+    fields.update({name: value for name, value in changes if "." not in name})
+    scenario = fields.pop("scenario", scenario)
     parts = [(name.split("."), value) for name, value in changes if "." in name]
-    scenario = fields.pop("scenario")
     if parts:
         base = configure(scenario, **fields)
         for first in dict.fromkeys(path[0] for path, _ in parts):

@@ -1,4 +1,4 @@
-"""The fields of a dataclass or NamedTuple as their source declares them, with the comment beside each."""
+"""The fields of a dataclass or NamedTuple as their source declares them, with unit and comment of each."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import io
 import textwrap
 import tokenize
 from typing import Any, NamedTuple
+
+from formation_env.configuration.parts import unit_of
 
 
 class Field(NamedTuple):
@@ -38,12 +40,22 @@ def fields(kind: type) -> list[Field]:
             said.insert(0, alone[before])
             before -= 1
         found.append(
-            Field(name, _type(node.annotation), defaults.get(name, _EMPTY), " ".join(said))
+            Field(
+                name,
+                _type(node.annotation),
+                defaults.get(name, _EMPTY),
+                _told(unit_of(kind, name), " ".join(said)),
+            )
         )
     return found
 
 
 _EMPTY = inspect.Parameter.empty
+
+
+def _told(unit: str, comment: str) -> str:
+    """Unit and meaning; a pure number has none."""
+    return ", ".join(filter(None, ("" if unit == "1" else unit, comment)))
 
 
 def _comments(source: str) -> tuple[dict[int, str], dict[int, str]]:

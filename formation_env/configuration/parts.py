@@ -3,7 +3,8 @@
 `noise`, `reward`, `limits` are NamedTuples, `vehicle`, `planner`, `tracker`, `rates_tracker` dataclasses.
 For each a dictionary of some of its fields may be given, as JSON has it; the fields that are left out
 keep the value that they have where the change is made. For a NamedTuple a list of all its numbers
-does as well. What annotates the fields of these (`checks.Within`) are their bounds.
+does as well. What annotates the fields of these (`checks.Within`) are their bounds. Units are in the
+annotations of all fields (`checks.Unit`, `checks.Within`).
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from math import inf
-from typing import Any, TypeVar, cast
+from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -64,3 +65,13 @@ def _entries(name: str, value: Any, kind: type) -> dict[str, Any]:
     if not named and listed and len(value) == len(known):
         return dict(zip(known, value, strict=True))
     refuse(name, value, f"a {kind.__name__}, or a dictionary with some of {', '.join(known)}")
+
+
+def unit_of(kind: Any, field: str) -> str:
+    """The unit of a field of a configuration's class, or of a part of it after a dot: "m" for
+    `noise.position`, "1" for a pure number and for a name that is none of its fields."""
+    note: Any = None
+    for name in field.split("."):
+        hint = get_type_hints(kind, include_extras=True).get(name)
+        kind, note = get_args(hint)[:2] if get_origin(hint) is Annotated else (hint, None)
+    return str(getattr(note, "unit", "1"))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from math import sqrt
-from typing import Any, final
+from typing import Annotated, Any, final
 
 from formation_env.laws.planner import PlannerLaw
 from formation_env.laws.tracker import TrackerLaw
-from formation_env.validation.checks import number, require
+from formation_env.validation.checks import Unit, number, require
 
 MOST = 1e9  # of any gain: products of several stay far inside the floating-point range
 
@@ -23,13 +23,13 @@ class PlannerGains:
     `k_z1, k_z2, p_max, z_max > 0`; none above 1e9. The paper does not print `z_max`.
     """
 
-    k1: float = 0.2  # 1/s
+    k1: Annotated[float, Unit("1/s")] = 0.2
     k2: float = 2.0
     k3: float = 0.0
-    kz1: float = 0.2  # 1/s^2
-    kz2: float = 2.0  # 1/s
-    p_max: float = 5.0  # m
-    z_max: float = 4.0  # m/s^2
+    kz1: Annotated[float, Unit("1/s^2")] = 0.2
+    kz2: Annotated[float, Unit("1/s")] = 2.0
+    p_max: Annotated[float, Unit("m")] = 5.0
+    z_max: Annotated[float, Unit("m/s^2")] = 4.0
 
     def __post_init__(self) -> None:
         for f in fields(self):
@@ -59,12 +59,12 @@ class TrackerGains:
     The bound (53), `sigma_max < g - z_max`, joins tracker and planner: the configuration checks it.
     """
 
-    k1: float = 0.5  # 1/s^2
-    k2: float = 1.5  # 1/s
+    k1: Annotated[float, Unit("1/s^2")] = 0.5
+    k2: Annotated[float, Unit("1/s")] = 1.5
     k3: float = 10.0
     k4: float = 0.5
     kz: float = 1.0
-    sigma_max: float = 5.0  # m/s^2
+    sigma_max: Annotated[float, Unit("m/s^2")] = 5.0
     c: float = 50.0
     p11: float = 1.0
     p12: float | None = None  # None: p11 k1 / k2

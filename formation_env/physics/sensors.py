@@ -30,17 +30,18 @@ from formation_env.validation.checks import Within
 # Bounds of what is observed: m, m; m/s, m/s^2 or rad/s; 1.
 NEAR, ANYWHERE, RATE_BOUND, UNIT = 1e3, 1e4, 100.0, 1.0
 # Noise above the bound of what is observed would leave nothing but the bound.
-_OF_POINTS, _OF_RATES = Within(0.0, NEAR), Within(0.0, RATE_BOUND)
+_OF_POINTS, _OF_RATES = Within(0.0, NEAR, unit="m"), Within(0.0, RATE_BOUND)
 
 
 class Noise(NamedTuple):
     """Standard deviations of the white noise on each measured component."""
 
-    position: Annotated[float, _OF_POINTS] = 0.0  # m
-    velocity: Annotated[float, _OF_RATES] = 0.0  # m/s
-    acceleration: Annotated[float, _OF_RATES] = 0.0  # m/s^2
-    attitude: Annotated[float, Within(0.0, pi)] = 0.0  # rad, of a small rotation vector, per axis
-    angular_velocity: Annotated[float, _OF_RATES] = 0.0  # rad/s
+    position: Annotated[float, _OF_POINTS] = 0.0
+    velocity: Annotated[float, _OF_RATES._replace(unit="m/s")] = 0.0
+    acceleration: Annotated[float, _OF_RATES._replace(unit="m/s^2")] = 0.0
+    # Of a small rotation vector, per axis.
+    attitude: Annotated[float, Within(0.0, pi, unit="rad")] = 0.0
+    angular_velocity: Annotated[float, _OF_RATES._replace(unit="rad/s")] = 0.0
 
 
 class Measured(NamedTuple):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf
-from typing import Any, final
+from typing import Annotated, Any, final
 
 from formation_env.maths.so3 import Vector
 from formation_env.physics.quadrotor import GRAVITY, Airframe
-from formation_env.validation.checks import boolean, number, require, vector
+from formation_env.validation.checks import Unit, boolean, number, require, vector
 
 MOST_LIFT = 100.0  # of `thrust_max`, in weights
 
@@ -33,12 +33,12 @@ class Vehicle:
     configuration to check, which knows it.
     """
 
-    mass: float = 0.1  # kg
-    inertia: Vector = (1e-3, 1e-3, 2e-3)  # kg m^2, diagonal of J
-    thrust_max: float | None = None  # N; None: twice the weight
-    moment_max: Vector = (0.05, 0.05, 0.02)  # N m, per body axis
-    rate_max: Vector = (10.0, 10.0, 5.0)  # rad/s, per body axis
-    rate_lag: float = 0.05  # s, time constant of the onboard rate loop
+    mass: Annotated[float, Unit("kg")] = 0.1
+    inertia: Annotated[Vector, Unit("kg m^2")] = (1e-3, 1e-3, 2e-3)  # diagonal of J
+    thrust_max: Annotated[float | None, Unit("N")] = None  # None: twice the weight
+    moment_max: Annotated[Vector, Unit("N m")] = (0.05, 0.05, 0.02)  # per body axis
+    rate_max: Annotated[Vector, Unit("rad/s")] = (10.0, 10.0, 5.0)  # per body axis
+    rate_lag: Annotated[float, Unit("s")] = 0.05  # time constant of the onboard rate loop
     limited: bool = True
 
     def __post_init__(self) -> None:

@@ -30,6 +30,13 @@ class Within(NamedTuple):
     low: float
     high: float
     strict: bool = False  # whether `low` itself is excluded
+    unit: str = "1"
+
+
+class Unit(NamedTuple):
+    """The unit of a number whose bounds are checked elsewhere: `Annotated[float, Unit("m/s^2")]`."""
+
+    unit: str
 
 
 def shown(value: object) -> str:

@@ -10,7 +10,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.reporting.pictures import COLOURS, MARKS, RC, TICKS, png, stretch, unstretch
+from baselines.system.pictures import (
+    COLOURS,
+    DARK,
+    MARKS,
+    TICKS,
+    png,
+    stretch,
+    style,
+    unstretch,
+)
 from baselines.system.writing import write_bytes
 from train.cards.curves import Curve, Key, to_text
 
@@ -74,13 +83,12 @@ def draw(curves: Sequence[Curve], compared: Mapping[str, float], path: Path) -> 
     Written whole or not at all; the same curves give the same bytes with the same Matplotlib. Raises
     `OSError`, `ModuleNotFoundError`.
     """
-    import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     methods = dict.fromkeys(c.key for c in curves)
     styles = _styles([key.method for key in methods])
-    with matplotlib.rc_context({**matplotlib.rcParamsDefault, **RC, "backend": "agg"}):
+    with style():
         figure = Figure(figsize=(9.0, 3.9), dpi=100, layout="constrained")
         canvas = FigureCanvasAgg(figure)
         axes = figure.subplots(1, 2, sharey=True)
@@ -121,8 +129,8 @@ def _finish(axes: Any, curves: Sequence[Curve], compared: Mapping[str, float]) -
     axes[0].set_yticks(TICKS, minor=False)
     axes[0].set_ylim(0.0, 1.0)
     for ax, label in zip(axes, ("agent steps, millions", "minutes of training"), strict=True):
-        for (name, score), style in zip(compared.items(), _LINES, strict=False):
-            ax.axhline(score, color="#222222", linewidth=1.0, linestyle=style, label=name)
+        for (name, score), dashes in zip(compared.items(), _LINES, strict=False):
+            ax.axhline(score, color=DARK, linewidth=1.0, linestyle=dashes, label=name)
         ax.set_xlabel(label)
         ax.set_xlim(left=0.0)
     axes[0].set_ylabel("score")

@@ -1,11 +1,15 @@
-"""How pictures of scores look, and their files: small, and the same bytes for the same figures.
+"""How all pictures of this package look, and their files: small, and the same bytes for the same figures.
 
-Matplotlib is imported where something is drawn: it comes with the `plot` extra.
+Those of evaluations, of the leaderboard, of training and of the paper's figures. Matplotlib is imported
+where something is drawn: it comes with the `plot` extra.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -17,8 +21,11 @@ Floats = NDArray[np.float64]
 # for lines, and black; each has a mark of its own.
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#8C6D1F", "#222222")
 MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
-RC: Any = {
+DARK, GREY, PALE, SHADE = "#222222", "#666666", "#9a9a9a", "#f1f1f1"  # text and lines, an area
+_RC: Any = {
     "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.labelsize": 9.0,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
@@ -26,7 +33,30 @@ RC: Any = {
     "grid.linewidth": 0.6,
     "legend.frameon": False,
     "legend.fontsize": 8.5,
+    "lines.linewidth": 1.3,
+    "svg.hashsalt": "formation",
 }
+MISSING = 'the pictures need Matplotlib: pip install "formation-env[plot]"'
+
+
+def installed() -> bool:
+    """Whether pictures can be drawn; `MISSING` says what is needed."""
+    return importlib.util.find_spec("matplotlib") is not None
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Within, figures are made and drawn in the style of all pictures, whatever the user's own is."""
+    import matplotlib
+
+    with matplotlib.rc_context({**matplotlib.rcParamsDefault, **_RC, "backend": "agg"}):
+        yield
+
+
+def labelled(name: str, unit: str) -> str:
+    """The label of an axis: `slot error (m)`, `gust (m/s²)`; a pure number's has no unit."""
+    return name if unit == "1" else f"{name} ({unit.replace('^2', '²')})"
+
 
 # Above this score an axis is stretched by this factor, so that good scores can be told apart.
 _STRETCHED_FROM, _STRETCH = 0.8, 4.0
