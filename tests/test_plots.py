@@ -16,7 +16,7 @@ from baselines import evaluate as command
 from baselines import make_policy
 from baselines.reporting import plots, report
 from baselines.scoring import curves
-from baselines.scoring.metrics import CAP
+from baselines.scoring.metrics import CAP, flight_ticks, window_ticks
 from baselines.scoring.results import Report, Sweep, summary
 from baselines.scoring.rollout import fly
 from baselines.scoring.tasks import read_sweep
@@ -142,7 +142,10 @@ def test_the_trigger_and_the_scored_window_are_marked(flown: Report) -> None:
     assert 5.0 < np.median(fired) < 13.0
     assert marks == {"ff": [pytest.approx(np.median(fired))], "hover": []}
     (scored,) = (p for p in figure.axes[0].patches if p.get_label() == "scored")
-    assert scored.get_x() == pytest.approx(13.0 - round(13.0 * 5 / 6 / 0.02) * 0.02)
+    config = flown.scenarios["mine"].config
+    flight, window = (0.02 * ticks(config) for ticks in (flight_ticks, window_ticks))
+    assert scored.get_x() == pytest.approx(np.median(fired) + flight - window)
+    assert scored.get_width() == pytest.approx(window)
 
 
 def test_axes_have_units(flown: Report) -> None:

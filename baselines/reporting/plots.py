@@ -16,11 +16,12 @@ from typing import Any
 import numpy as np
 
 from baselines.scoring.curves import COLUMN, HIGH, LOW, Curve, curve
-from baselines.scoring.metrics import CAP, deadline, window_ticks
+from baselines.scoring.metrics import CAP, deadline, flight_ticks, window_ticks
 from baselines.scoring.results import ELSEWHERE, Report, Result, Scenario, Sweep
 from baselines.system import pictures
 from baselines.system.pictures import COLOURS, DARK, GREY, MARKS, SHADE, labelled
 from baselines.system.writing import write_bytes
+from formation_env import FormationConfig
 
 SCORES, ERRORS = "scores", "errors"  # what the names of files end in
 _WIDTH = 8.0  # inches
@@ -191,9 +192,7 @@ def draw_errors(name: str, scenario: Scenario, episodes: int) -> Any:
         for ax, policy in zip(axes, policies, strict=False):
             _errors(ax, curves[policy], best if policy != scenario.best else None)
             ax.set_title(_titled(scenario, policy), loc="left")
-            _trigger(ax, scenario.results[policy], curves[policy], deadline(config))
-            window = config.duration - window_ticks(config) * config.control_period
-            ax.axvspan(window, config.duration, color=SHADE, linewidth=0, zorder=0, label="scored")
+            _trigger(ax, scenario.results[policy], curves[policy], config)
         _finish_errors(axes, len(policies), columns, curves, config.duration)
         figure.suptitle(
             f"{name}: slot error over {_over(episodes)} and followers; at most {CAP:g} m, which also "
@@ -226,13 +225,18 @@ def _errors(ax: Any, own: Curve, best: Curve | None) -> None:
                 linestyle=(0, (3, 2)), label="median of the best policy")  # fmt: skip
 
 
-def _trigger(ax: Any, result: Result, own: Curve, limit: float) -> None:
-    """A mark on the median where the trigger (40) fires, in the median of the episodes in which it does
-    before the `limit`, s, which is 0 where it has fired at reset."""
-    columns = result.runs[result.median]
-    fired = columns["trigger_time"][columns["trigger_time"] < limit]
-    if len(fired):
-        time = float(np.median(fired))
+def _trigger(ax: Any, result: Result, own: Curve, config: FormationConfig) -> None:
+    """A mark on the median where the trigger (40) fires and a shade where the flight is then scored, in the
+    median of the episodes in which it does before its deadline; at reset it needs no mark."""
+    columns, limit = result.runs[result.median], deadline(config)
+    fired = columns["trigger_time"][columns["trigger_time"] < limit] if limit else np.zeros(1)
+    if len(fired) == 0:
+        return
+    time = float(np.median(fired))
+    end = time + flight_ticks(config) * config.control_period
+    begin = end - window_ticks(config) * config.control_period
+    ax.axvspan(begin, end, color=SHADE, linewidth=0, zorder=0, label="scored")
+    if limit:
         error = np.interp(time, own.time, own.median)
         ax.plot([time], [error], MARKS[4], color=COLOURS[4], markersize=7.0, markeredgecolor="white",
                 linestyle="none", label="trigger (40), median", zorder=4)  # fmt: skip

@@ -1,8 +1,8 @@
 """Slot errors against time, gathered while episodes are flown, and their spread over episodes.
 
 Errors are as in the metrics: those of the true positions, at most `metrics.CAP`, which also stands for what
-an episode lacks since it has failed. They are kept at no more than `INSTANTS` ticks, so that memory does not
-grow with the length of an episode.
+an episode lacks since it has failed; there is none after the end of a flight. They are kept at no more than
+`INSTANTS` ticks, so that memory does not grow with the length of an episode.
 """
 
 from __future__ import annotations
@@ -48,9 +48,14 @@ class Gatherer:
             off = np.linalg.norm(outputs[flying, :, ERROR : ERROR + 3], axis=-1)
             self.errors[flying, k] = np.where(off < CAP, off, CAP)  # CAP for NaN
 
+    def finish(self, flown: NDArray[np.int64], failed: NDArray[np.bool_]) -> None:
+        """Leave out what comes after the `flown` ticks of the worlds that have not `failed`."""
+        after = np.array(list(self._place)) > flown[:, None]
+        self.errors[after & ~failed[:, None]] = np.nan
+
 
 class Curve(NamedTuple):
-    """Slot error against time, over episodes and followers, `(instants,)` each."""
+    """Slot error against time, over episodes and followers, `(instants,)` each, to the last flight's end."""
 
     time: Floats  # s since reset
     low: Floats  # m, percentile `LOW`
@@ -59,8 +64,9 @@ class Curve(NamedTuple):
 
 
 def curve(errors: NDArray[Any], config: FormationConfig) -> Curve:
-    """The spread of `errors` `(worlds, instants, followers)`, m."""
-    spread: Any = np.percentile(errors, (LOW, 50.0, HIGH), axis=(0, 2))
+    """The spread of `errors` `(worlds, instants, followers)`, m, NaN where there is none."""
+    flown = np.isfinite(errors).any(axis=(0, 2))
+    spread: Any = np.nanpercentile(errors[:, flown], (LOW, 50.0, HIGH), axis=(0, 2))
     low, median, high = spread.astype(np.float64)
-    time: Any = ticks(config) * config.control_period
+    time: Any = ticks(config)[flown] * config.control_period
     return Curve(time, low, median, high)

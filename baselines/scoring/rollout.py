@@ -111,4 +111,7 @@ def fly(
             offsets,
         )
     found = episodes(tally, config)
-    return found if gatherer is None else {**found, COLUMN: gatherer.errors}
+    if gatherer is None:
+        return found
+    gatherer.finish(tally.ticks, found["failed"] > 0.0)
+    return {**found, COLUMN: gatherer.errors}

@@ -44,7 +44,7 @@ def fields(kind: type) -> list[Field]:
                 name,
                 _type(node.annotation),
                 defaults.get(name, _EMPTY),
-                _told(unit_of(kind, name), " ".join(said)),
+                _told(kind, name, " ".join(said)),
             )
         )
     return found
@@ -53,8 +53,12 @@ def fields(kind: type) -> list[Field]:
 _EMPTY = inspect.Parameter.empty
 
 
-def _told(unit: str, comment: str) -> str:
-    """Unit and meaning; a pure number has none."""
+def _told(kind: type, name: str, comment: str) -> str:
+    """Unit and meaning. A pure number has no unit, nor a field of what is imported for types alone."""
+    try:
+        unit = unit_of(kind, name)
+    except NameError:
+        unit = "1"
     return ", ".join(filter(None, ("" if unit == "1" else unit, comment)))
 
 
