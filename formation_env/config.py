@@ -56,7 +56,7 @@ PARTS: dict[str, Any] = {
     "reward": Rewards(),
     "limits": Limits(),
 }
-_CHOICES = {
+CHOICES = {
     "action": levels.NAMES,
     "path": ("drawn", "as given"),
     "start": ("formation", "ground"),
@@ -65,7 +65,7 @@ _CHOICES = {
     "reference_actuation": tuple(ACTUATIONS),
 }
 # Low, high, and whether `low` itself is excluded.
-_NUMBERS = {
+NUMBERS = {
     "start_offset": (0.0, NEAR, False),
     "trigger": (0.0, ANYWHERE, True),
     "control_period": (0.0, 10.0, True),
@@ -73,7 +73,7 @@ _NUMBERS = {
     "gust": (0.0, RATE_BOUND, False),
     "gust_time": (0.0, inf, True),
 }
-_COUNTS = {
+COUNTS = {
     "substeps": (1, 1000),
     "measurement_delay": (0, 1000),
     "window": (1, 10000),
@@ -101,19 +101,19 @@ class FormationConfig:
     """
 
     scenario: str = "custom"  # its name, by which gains and policies are looked up
-    offsets: tuple[Vector, ...] = ((0.35, 0.35, -0.3), (0.35, -0.35, -0.3))  # d_i
-    trajectory: Trajectory = field(default_factory=figure_eight)
+    offsets: tuple[Vector, ...] = ((0.35, 0.35, -0.3), (0.35, -0.35, -0.3))  # m, d_i
+    trajectory: Trajectory = field(default_factory=figure_eight)  # the leader's path
     path: str = "drawn"  # turned, mirrored and begun elsewhere in every episode; or "as given"
-    action: str = "wrench"
-    start: str = "formation"
+    action: str = "wrench"  # what followers command
+    start: str = "formation"  # where an episode begins: near the slots, or at rest on the floor
     start_offset: float = 0.15  # m, radius of the ball around the slot; start="formation"
     leader_start: Vector | None = None  # on the floor; None: under the first reference point
     follower_starts: tuple[Vector, ...] | None = None  # None: in rows behind the leader
     trigger: float = 0.25  # m, e_max of (40); start="ground"
-    control_period: float = 0.02
-    substeps: int = 4
-    duration: float = 20.0
-    measurement_period: float | None = None  # None: the control period
+    control_period: float = 0.02  # s
+    substeps: int = 4  # of a control period
+    duration: float = 20.0  # s, of an episode
+    measurement_period: float | None = None  # s, None: the control period
     measurement_delay: int = 0  # samples
     estimator: str = "direct"  # or "differenced", section IV
     window: int = 100  # samples in the acceleration's moving average
@@ -123,13 +123,13 @@ class FormationConfig:
     vehicle: Vehicle = PARTS["vehicle"]
     leader_actuation: str = "moment"
     reference_actuation: str = "moment"  # what flies a follower at action="reference"
-    reference_max: Vector = (4.0, 4.0, 4.0)  # m/s^2 at action +-1
+    reference_max: Vector = (4.0, 4.0, 4.0)  # m/s^2, at action +-1
     planner: PlannerGains = PARTS["planner"]
     tracker: TrackerGains = PARTS["tracker"]  # vehicles driven by moments
     rates_tracker: TrackerGains = RATES_GAINS  # vehicles driven by rates
     reward: Rewards = PARTS["reward"]
     limits: Limits = PARTS["limits"]
-    neighbours: int = 2
+    neighbours: int = 2  # that a follower observes, the nearest ones
 
     def __post_init__(self) -> None:
         self._convert()
@@ -157,11 +157,11 @@ class FormationConfig:
         self._store("offsets", rows("offsets", self.offsets, NEAR))
         limit = vector3("reference_max", self.reference_max, 0.0, RATE_BOUND)
         self._store("reference_max", limit)
-        for name, names in _CHOICES.items():
+        for name, names in CHOICES.items():
             self._store(name, choice(name, getattr(self, name), names))
-        for name, (low, high, strict) in _NUMBERS.items():
+        for name, (low, high, strict) in NUMBERS.items():
             self._store(name, number(name, getattr(self, name), low, high, strict=strict))
-        for name, (least, most) in _COUNTS.items():
+        for name, (least, most) in COUNTS.items():
             self._store(name, integer(name, getattr(self, name), least, most))
         for name, default in PARTS.items():
             self._store(name, part(name, getattr(self, name), default))
