@@ -15,6 +15,7 @@ from typing import Any
 from baselines.play.controls import FOLLOWERS, FORMATION, OFFSETS, TRAJECTORY
 from baselines.scoring.tasks import changed
 from formation_env import SCENARIOS, FormationConfig, formations
+from formation_env.config import quietly
 from formation_env.validation.checks import choice, integer, require
 from formation_env.validation.plain_form import plain
 
@@ -53,7 +54,7 @@ def configuration(scenario: str, changes: Changes) -> FormationConfig:
 
 def _count(scenario: str, count: Any) -> int:
     if count is None:
-        return SCENARIOS[scenario]().followers
+        return quietly(SCENARIOS[scenario]).followers
     return integer(FOLLOWERS, count, 1, formations.MAX_FOLLOWERS)
 
 
