@@ -173,7 +173,8 @@ def do(of: Session, **command: Any) -> dict[str, Any]:
 
 
 def frame(of: Session) -> Any:
-    return json.loads(of.latest()[1])
+    """The latest frame."""
+    return json.loads(of.frames())["frames"][-1]
 
 
 def test_a_change_takes_effect_in_flight_and_is_told() -> None:
@@ -191,7 +192,7 @@ def test_a_change_takes_effect_in_flight_and_is_told() -> None:
 
 def test_an_impossible_change_leaves_all_as_it_was() -> None:
     s = session(("expert", "hover"))
-    before, seen = s.state(), s.latest()
+    before, seen = s.state(), s.frames()
     for command, message in (
         ({"do": "set", "name": "planner.k2", "value": 0.5}, "planner.k2 = 0.5"),
         ({"do": "set", "name": "gust", "value": "strong"}, "gust = 'strong'"),
@@ -221,7 +222,7 @@ def test_an_impossible_change_leaves_all_as_it_was() -> None:
     ):
         answer = s.do(command)
         assert set(answer) == {"error"} and message in answer["error"], (command, answer)
-    assert s.state() == before and s.latest() == seen
+    assert s.state() == before and s.frames() == seen
 
 
 def test_the_commands_are_few() -> None:
@@ -280,13 +281,18 @@ def test_reset_is_by_seed() -> None:
 
 def test_history_is_bounded_and_of_this_episode() -> None:
     s = session(("expert", "lee"), changes={"followers": 16})
-    s._length = 0
-    s._frames.clear()
     for _ in range(900):
         s._publish()
-    assert 1_000_000 < len(s.history()) < 3_200_000
+    assert 1_000_000 < sum(map(len, s._frames)) <= 3_000_000
+    count = s.latest()[2]
+    assert json.loads(s.frames(count))["frames"] == []
+    assert len(json.loads(s.frames(count - 3))["frames"]) == 3
+    assert 100 < len(json.loads(s.frames())["frames"]) <= 300
+    s.tick()
+    s._publish()
+    assert json.loads(s.frames(1))["frames"][-1] == json.loads(s._frames[-1]), "the last among them"
     do(s, do="reset", seed=1)
-    (only,) = json.loads(s.history())["frames"]
+    (only,) = json.loads(s.frames())["frames"]
     assert only["epoch"] == s.epoch and only["flights"][0]["time"] == 0.0
 
 

@@ -88,8 +88,7 @@ def groups(kind: type = FormationConfig) -> dict[str, str]:
     found = {}
     for name, hint in get_type_hints(kind).items():
         if is_record(hint) or (is_dataclass(hint) and hint is not Trajectory):
-            text = (inspect.getdoc(hint) or "").partition("\n\n")[0]
-            found[name] = " ".join(text.split())
+            found[name] = _first(hint)
     return found
 
 
@@ -222,6 +221,12 @@ def comments(kind: type) -> dict[str, str]:
     return found
 
 
+def _first(what: Any) -> str:
+    """The first paragraph of what a class or function says of itself."""
+    text = (inspect.getdoc(what) or "").partition("\n\n")[0]
+    return " ".join(text.replace("`", "").split())
+
+
 def _beside(lines: Mapping[int, tuple[bool, str]], first: int, last: int) -> str:
     own = [lines[k][1] for k in range(first, last + 1) if k in lines]
     above: list[str] = []
@@ -261,8 +266,7 @@ def _makers(
         parameters = inspect.signature(function).parameters.values()
         own = [_argument(p, hints[p.name]) for p in parameters if p.name not in skip]
         if all(one is not None for one in own):
-            text = " ".join((inspect.getdoc(function) or "").partition("\n\n")[0].split())
-            found.append({"name": name, "text": text, "arguments": own})
+            found.append({"name": name, "text": _first(function), "arguments": own})
     return tuple(found)
 
 

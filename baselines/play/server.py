@@ -4,8 +4,9 @@ A page of another site cannot drive the flights: every request has to name this 
 a name that was rebound to 127.0.0.1 does not, and the WebSocket, which browsers let any page open, has to
 come from this page. The page may load nothing that is not this server's (Content-Security-Policy).
 
-Each browser gets the latest frame when it is ready for one: a slow one skips frames, and nothing waits for
-it. Commands of one browser are carried out one after the other, in a thread, and answered.
+Each browser gets what is new when it has drawn what it got: a slow one gets more at once, of which some is
+left out, and nothing waits for it. Commands of one browser are carried out one after the other, in a
+thread, and answered.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from baselines.replay.linking import linked, text_of
 
 PLACES = ("baselines.play", "baselines.replay")
 _LONGEST = 2**16  # bytes of a command
-DRAWN = "drawn"  # what a browser says when it has drawn a frame
+DRAWN = "drawn"  # what a browser says when it has drawn the frames that it got
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
@@ -149,30 +150,31 @@ class Sockets:
         return {"type": "answer", "id": number, **answer}
 
     async def _send(self, to: web.WebSocketResponse, turn: _Turn) -> None:
-        """What is new, to one browser: a frame when it has drawn the last one, all else at once."""
+        """What is new, to one browser: frames when it has drawn the last ones, all else at once."""
         loop, session = asyncio.get_running_loop(), self._session
 
         def wake() -> None:
             if not loop.is_closed():
                 loop.call_soon_threadsafe(turn.news.set)
 
-        known, epoch, last = -1, -1, ""
+        known, epoch, last = -1, -1, 0
         session.listen(wake)
         try:
             await to.send_str(json.dumps(session.hello()))
+            turn.ready = True
             while True:
-                version, frame = session.latest()
+                version, _, count = session.latest()
                 if version != known:
                     known, state = session.state()
                     await to.send_str(json.dumps(state))
                     if state["epoch"] != epoch:
-                        epoch, last, turn.ready = state["epoch"], frame, False
-                        await to.send_str(session.history())
-                elif turn.ready and frame is not last:
-                    last, turn.ready = frame, False
-                    await to.send_str(frame)
-                await turn.news.wait()
-                turn.news.clear()
+                        epoch, last, turn.ready = state["epoch"], 0, True
+                elif turn.ready and count > last:
+                    text, last, turn.ready = session.frames(last), count, False
+                    await to.send_str(text)
+                else:
+                    await turn.news.wait()
+                    turn.news.clear()
         except ConnectionError:
             return
         finally:

@@ -2,7 +2,7 @@
 
 A `Session` has one or two policies on one configuration from one seed. `do(command)` changes something,
 whoever asks, and returns an answer or says what is wrong, in which case all is as it was. The thread flies
-and makes a frame some thirty times a second; whoever shows them takes the latest and may skip any number.
+and makes a frame some thirty times a second; the last ones are kept, for whoever shows them.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ FRAME = 1.0 / 30.0  # s between two frames
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 _LATE = 0.1  # s that a slow machine may be late; what is more is not caught up
 _REST = 3.0  # s that an episode that has ended is shown
-_KEPT = 3_000_000  # characters of frames that a page that opens gets
+_KEPT = 3_000_000  # characters of frames that are kept for pages that open, or are slow
+_MOST = 300  # frames in one message
 _STRONGEST = 20.0  # m/s of a push
 
 
@@ -140,7 +141,9 @@ class Session:
     def _new_epoch(self) -> None:
         self.epoch += 1
         self._frames: deque[str] = deque()
-        self._length = 0
+        self._count = self._length = (
+            0  # frames that were made, and characters of those that are kept
+        )
         self._changed()
         self._publish()
 
@@ -148,9 +151,10 @@ class Session:
         """Make a frame of what is true now."""
         with self._lock:
             shown = [flight.frame() for flight in self._flights]
-            content = {"type": "frame", "epoch": self.epoch, "flights": shown}
+            content = {"epoch": self.epoch, "flights": shown}
             frame = json.dumps(content, separators=(",", ":"), allow_nan=False)
             self._frames.append(frame)
+            self._count += 1
             self._length += len(frame)
             while self._length > _KEPT and len(self._frames) > 1:
                 self._length -= len(self._frames.popleft())
@@ -169,15 +173,21 @@ class Session:
         """Have a function called, from any thread, whenever there is something new; or no more."""
         (self._listeners.add if on else self._listeners.discard)(listener)
 
-    def latest(self) -> tuple[int, str]:
-        """The number of the state and the latest frame."""
+    def latest(self) -> tuple[int, int, int]:
+        """The numbers of the state, of the episodes that are flown and of the latest frame of them."""
         with self._lock:
-            return self.version, self._frames[-1]
+            return self.version, self.epoch, self._count
 
-    def history(self) -> str:
-        """All frames of the episode that are kept, as one message."""
+    def frames(self, after: int = 0) -> str:
+        """The frames with a number above `after` that are kept, the last among them, as one message.
+
+        Of more than some hundred only every second, third, ... is in it.
+        """
         with self._lock:
-            return f'{{"type":"history","frames":[{",".join(self._frames)}]}}'
+            new = min(self._count - after, len(self._frames))
+            every = -(-new // _MOST) or 1
+            chosen = [self._frames[-1 - k] for k in range(0, new, every)]
+        return f'{{"type":"frames","frames":[{",".join(reversed(chosen))}]}}'
 
     def hello(self) -> dict[str, Any]:
         """What does not change: controls, scenarios, policies."""
@@ -363,6 +373,5 @@ def _base(scenario: str) -> tuple[str, dict[str, Any]]:
 
 def _about(name: str) -> str:
     """The first sentence of a policy's description."""
-    kind = POLICIES.get(name)
-    text = " ".join(((kind.__doc__ if kind else "") or "").partition("\n\n")[0].split())
+    text = " ".join((getattr(POLICIES.get(name), "__doc__", "") or "").partition("\n\n")[0].split())
     return text or ("learned, shipped as a file" if name in METHODS else "your own")

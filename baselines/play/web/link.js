@@ -33,7 +33,7 @@ export class Link {
     this.waiting.delete(message.id);
   }
 
-  // The last frame has been drawn: the server sends the next one.
+  // The last frames have been drawn: the server sends what is new since.
   drawn() {
     if (this.socket.readyState === WebSocket.OPEN) this.socket.send("drawn");
   }

@@ -82,14 +82,8 @@ class Play {
     document.documentElement.dataset.ready = "true";
   }
 
-  take_history({ frames }) {
+  take_frames({ frames }) {
     frames.forEach((frame) => this.append(frame));
-    this.due = true;
-    this.refresh();
-  }
-
-  take_frame(frame) {
-    this.append(frame);
     this.due = true;
     this.refresh();
   }

@@ -87,7 +87,7 @@ function makeRow(control, { set, unset }) {
   problem.setAttribute("role", "alert");
   problem.hidden = true;
   element.append(head, editor.element);
-  if (control.text) element.append(make("p", "text", control.text));
+  if (control.text && control.kind !== "maker") element.append(make("p", "text", control.text));
   element.append(problem);
   return {
     element,
@@ -232,7 +232,7 @@ function maker(control, id, set) {
     if (shown === names.value) return;
     shown = names.value;
     const chosen = control.makers.find(({ name }) => name === names.value);
-    text.textContent = chosen?.text ?? "";
+    text.textContent = chosen?.text ?? control.text;
     inner.replaceChildren(
       ...(chosen?.arguments ?? []).map((argument) => {
         const row = make("div", "argument");
