@@ -255,6 +255,8 @@ def test_number_and_shape_of_followers_and_the_path(server: Server, opened: Any)
     text = page.page.locator("#python-text").inner_text()
     assert "offsets=formations.column(5)" in text and 'trajectory={"path": "line"}' in text
     page.page.locator("#python .close").click()
+    page.page.locator(f"{control('trajectory')} select").first.select_option("")
+    page.wait_until("!('trajectory' in play.state.changes)")
 
 
 def test_keys_pause_and_reset(server: Server, opened: Any) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from baselines.play.controls import Control, comments, controls, divided, groups
-from baselines.play.settings import configuration, python, values, with_change
+from baselines.play.settings import configuration, from_fields, python, values, with_change
 from formation_env import SCENARIOS, FormationConfig, configure
 from formation_env.config import CHOICES, COUNTS, NUMBERS, PARTS, quietly
 from formation_env.memory.records import notes
@@ -169,6 +169,15 @@ def test_values_are_those_of_the_controls() -> None:
     assert found["measurement_period"] is None
     assert set(found) - {"scenario"} <= set(CONTROLS)
     assert json.loads(json.dumps(found, allow_nan=False)) == found
+
+
+def test_a_path_of_the_command_line_is_shown_as_one_that_was_chosen() -> None:
+    for path in ("hover", {"path": "circle", "radius": 2.0}):
+        changes = from_fields({"trajectory": path, "gust": 0.1})
+        assert set(changes["trajectory"]) - {"radius"} == {"maker"} and changes["gust"] == 0.1
+        expected = configure(trajectory=path, gust=0.1)
+        assert configuration("nominal", changes) == expected
+    assert from_fields({"gust": 0.1}) == {"gust": 0.1}
 
 
 def test_one_of_offsets_followers_and_formation_takes_the_place_of_the_others() -> None:

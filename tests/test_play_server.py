@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import importlib.util
 import json
+import queue
 import re
 import socket
 import subprocess
@@ -236,11 +237,14 @@ def test_no_import_needs_aiohttp(module: str) -> None:
 def test_it_says_where_and_opens_the_browser(
     quiet: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    opened: list[str] = []
-    monkeypatch.setattr(webbrowser, "open", opened.append)
+    opened: queue.Queue[str] = queue.Queue()
+    monkeypatch.setattr(webbrowser, "open", opened.put)
     command._tell("http://127.0.0.1:8765/", quiet)
     assert "http://127.0.0.1:8765/" in capsys.readouterr().out
-    assert opened == ([] if quiet else ["http://127.0.0.1:8765/"])
+    if quiet:
+        assert opened.empty()
+    else:
+        assert opened.get(timeout=60) == "http://127.0.0.1:8765/"
 
 
 def test_serving_ends_when_it_is_cancelled(session: Session) -> None:

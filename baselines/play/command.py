@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import threading
 import webbrowser
 from collections.abc import Sequence
 from contextlib import suppress
@@ -100,6 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _session(own: Parser, given: argparse.Namespace) -> Any:
     """What is flown, compiled. A wrong option ends the command."""
     from baselines.play.session import Session
+    from baselines.play.settings import from_fields
 
     scenario, _, level = given.scenario.partition(":")
     level = level or given.action
@@ -107,13 +109,19 @@ def _session(own: Parser, given: argparse.Namespace) -> Any:
     changes |= {setting.field: setting.values[0] for setting in given.settings}
     try:
         with compiling():
-            return Session(given.policies[:2], scenario, changes, given.seed, given.policies)
+            return Session(
+                given.policies[:2], scenario, from_fields(changes), given.seed, given.policies
+            )
     except (ValueError, TypeError) as problem:
         own.error(str(problem))
 
 
 def _tell(address: str, quiet: bool) -> None:
     console.say(wrapped(f"open {address} in a browser; Ctrl-C ends it"))
-    if not quiet:
-        with suppress(webbrowser.Error, OSError):
-            webbrowser.open(address)
+    if not quiet:  # in a thread: a browser in the terminal returns when it is closed
+        threading.Thread(target=_open, args=(address,), daemon=True).start()
+
+
+def _open(address: str) -> None:
+    with suppress(webbrowser.Error, OSError):
+        webbrowser.open(address)

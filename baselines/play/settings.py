@@ -30,6 +30,20 @@ _RIVALS = {
 MAKER = "maker"
 
 
+def from_fields(fields: Changes) -> dict[str, Any]:
+    """Changes of fields of `configure`, in which a path is described as `as_trajectory` takes it."""
+    changes = dict(fields)
+    path = changes.get(TRAJECTORY)
+    if isinstance(path, str):
+        changes[TRAJECTORY] = {MAKER: path}
+    elif isinstance(path, Mapping) and "path" in path:
+        changes[TRAJECTORY] = {
+            MAKER: path["path"],
+            **{k: x for k, x in path.items() if k != "path"},
+        }
+    return changes
+
+
 def with_change(changes: Changes, name: str, value: Any) -> dict[str, Any]:
     """The changes with another."""
     rivals = _RIVALS.get(name, ())

@@ -82,7 +82,7 @@ function makeRow(control, { set, unset }) {
   undo.setAttribute("aria-label", `${control.name}: back to ${OWN}`);
   undo.addEventListener("click", unset);
   head.append(label, make("span", "unit", control.unit), undo);
-  const editor = editorOf(control, id, set);
+  const editor = editorOf(control, id, set, unset);
   const problem = make("p", "error");
   problem.setAttribute("role", "alert");
   problem.hidden = true;
@@ -108,9 +108,9 @@ function makeRow(control, { set, unset }) {
   };
 }
 
-function editorOf(control, id, set) {
+function editorOf(control, id, set, unset) {
   const editors = { number: range, integer: range, boolean: check, choice: select, maker, vector, json, text: json };
-  const editor = editors[control.kind](control, id, set);
+  const editor = editors[control.kind](control, id, set, unset);
   return control.optional && control.kind !== "json" ? optional(control, editor, set) : editor;
 }
 
@@ -217,7 +217,7 @@ function optional(control, editor, set) {
 }
 
 // A function by its name, and its arguments: a path, a formation.
-function maker(control, id, set) {
+function maker(control, id, set, unset) {
   const element = make("div", "maker");
   const names = make("select");
   names.id = id;
@@ -227,7 +227,7 @@ function maker(control, id, set) {
   element.append(names, text, inner);
   let given = {};
   let shown = null;
-  const send = () => set(names.value ? { maker: names.value, ...given } : null);
+  const send = () => (names.value ? set({ maker: names.value, ...given }) : unset());
   const arrange = () => {
     if (shown === names.value) return;
     shown = names.value;
