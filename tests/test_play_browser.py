@@ -188,8 +188,11 @@ def test_an_impossible_value_is_said_where_it_was_set_and_changes_nothing(
     assert changes(page) == {} and page.value("play.state.values['planner.k2']") == 2
     before = time_of(page)
     page.wait_until(f"play.flights[0].last > {before}")
-    move(page, "planner.k2", 3)
+    move(page, "gust", 0.1)
     problem.wait_for(state="hidden")
+    box = page.page.locator(f"{control('planner.k2')} input[type=number]")
+    assert box.input_value() == "2", "what is flown"
+    move(page, "planner.k2", 3)
     page.wait_until("play.state.changes['planner.k2'] === 3")
 
 
@@ -307,9 +310,11 @@ def test_a_phone_shows_scene_and_bar_and_one_panel(server: Server, opened: Any, 
 def test_a_server_that_is_killed_is_missed_and_another_one_found(opened: Any) -> None:
     first = Server("--seed", "4")
     port = first.address.rsplit(":", 1)[1].strip("/")
-    page = opened(first, webgl=False, check=False)
+    page = opened(first, webgl=False, check=False, viewport=PHONE)
+    page.value("window.scrollTo(0, 1000)")
     first.close()
     page.page.locator("#lost").wait_for(state="visible")
+    assert page.page.locator("#lost").bounding_box()["y"] >= 0, "also far down the page"
     assert "tries again" in page.page.locator("#lost").inner_text()
     answer = done(page, do="pause", value=True)
     assert "does not answer" in answer["error"]

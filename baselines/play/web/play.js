@@ -1,5 +1,6 @@
 // The live page: flights side by side as they are flown, what is done to them, keys.
 import { ofPolicy, palette, vehicleName } from "./colours.js";
+import { actionOf } from "./keys.js";
 import { Link } from "./link.js";
 import { LiveFlight } from "./live.js";
 import { Panel, letter, sample } from "./panel.js";
@@ -111,6 +112,7 @@ class Play {
 
   change(name, command) {
     this.link.sendLatest(name, command, (answer) => {
+      if (!answer.error) this.forgive();
       this.settings.answer(name, answer);
       if (answer.began) this.say("This takes effect from the start of an episode: it has begun anew.");
     });
@@ -306,7 +308,13 @@ class Play {
   async start(command) {
     const { error } = await this.send(command);
     if (error) this.restore();
-    else this.settings.forgive();
+    else this.forgive();
+  }
+
+  // What was refused before is shown as it is.
+  forgive() {
+    this.settings.forgive();
+    this.settings.show(this.state);
   }
 
   pause() {
@@ -352,46 +360,12 @@ class Play {
   }
 
   press(event) {
-    const act = this.keys(event);
+    const act = actionOf(this, event.key);
     const typing = event.target.matches?.("select, textarea, input, dialog *");
     const pressing = event.key === " " && event.target.matches?.("button, a, summary");
     if (!act || typing || pressing || event.ctrlKey || event.metaKey || event.altKey) return;
     event.preventDefault();
     act();
-  }
-
-  keys({ key }) {
-    const orbit = this.stage?.orbit;
-    const found = {
-      " ": () => this.pause(),
-      ArrowLeft: () => this.pushing.push("left"),
-      ArrowRight: () => this.pushing.push("right"),
-      ArrowUp: () => this.pushing.push("away"),
-      ArrowDown: () => this.pushing.push("near"),
-      PageUp: () => this.pushing.push("up"),
-      PageDown: () => this.pushing.push("down"),
-      Delete: () => this.pushing.lose(),
-      n: () => this.reset(this.state.seed + 1),
-      b: () => this.reset(this.state.seed),
-      ".": () => this.changeSpeed(1),
-      ",": () => this.changeSpeed(-1),
-      "+": () => orbit?.magnify(1.2),
-      "=": () => orbit?.magnify(1.2),
-      "-": () => orbit?.magnify(1 / 1.2),
-      a: () => orbit?.turn(-0.12, 0),
-      d: () => orbit?.turn(0.12, 0),
-      w: () => orbit?.turn(0, 0.08),
-      s: () => orbit?.turn(0, -0.08),
-      r: () => orbit?.reset(),
-      f: () => this.setFollow("formation"),
-      p: () => this.setFollow("path"),
-      l: () => this.setFollow("0"),
-      t: () => this.theme.toggle(),
-      h: () => this.open("help-text"),
-      "?": () => this.open("help-text"),
-    }[key.length === 1 ? key.toLowerCase() : key];
-    if (found || !/^[1-9]$/.test(key)) return found;
-    return find("vehicle").querySelector(`[value="${key}"]`) ? () => (find("vehicle").value = key) : null;
   }
 }
 
