@@ -56,7 +56,7 @@ PARTS: dict[str, Any] = {
     "reward": Rewards(),
     "limits": Limits(),
 }
-_CHOICES = {
+CHOICES = {
     "action": levels.NAMES,
     "path": ("drawn", "as given"),
     "start": ("formation", "ground"),
@@ -65,7 +65,7 @@ _CHOICES = {
     "reference_actuation": tuple(ACTUATIONS),
 }
 # Low, high, and whether `low` itself is excluded.
-_NUMBERS = {
+NUMBERS = {
     "start_offset": (0.0, NEAR, False),
     "trigger": (0.0, ANYWHERE, True),
     "control_period": (0.0, 10.0, True),
@@ -73,7 +73,7 @@ _NUMBERS = {
     "gust": (0.0, RATE_BOUND, False),
     "gust_time": (0.0, inf, True),
 }
-_COUNTS = {
+COUNTS = {
     "substeps": (1, 1000),
     "measurement_delay": (0, 1000),
     "window": (1, 10000),
@@ -161,11 +161,11 @@ class FormationConfig:
         self._store("offsets", rows("offsets", self.offsets, NEAR))
         limit = vector3("reference_max", self.reference_max, 0.0, RATE_BOUND)
         self._store("reference_max", limit)
-        for name, names in _CHOICES.items():
+        for name, names in CHOICES.items():
             self._store(name, choice(name, getattr(self, name), names))
-        for name, (low, high, strict) in _NUMBERS.items():
+        for name, (low, high, strict) in NUMBERS.items():
             self._store(name, number(name, getattr(self, name), low, high, strict=strict))
-        for name, (least, most) in _COUNTS.items():
+        for name, (least, most) in COUNTS.items():
             self._store(name, integer(name, getattr(self, name), least, most))
         for name, default in PARTS.items():
             self._store(name, part(name, getattr(self, name), default))

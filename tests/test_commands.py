@@ -88,7 +88,7 @@ def test_every_command_is_known() -> None:
         for path in files
         if '__name__ == "__main__"' in path.read_text(encoding="utf-8")
     }
-    packages = {"train.cards", "baselines.replay"}  # run by their `__main__`
+    packages = {"train.cards", "baselines.play", "baselines.replay"}  # run by their `__main__`
     assert runs - WITHOUT_OPTIONS == set(PARSERS) - packages
 
 

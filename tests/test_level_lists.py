@@ -39,7 +39,7 @@ def listing(text: str) -> list[int]:
 
 
 def test_what_lists_the_levels_has_those_of_the_table() -> None:
-    assert tuple(configuration._CHOICES["action"]) == NAMES
+    assert tuple(configuration.CHOICES["action"]) == NAMES
     assert (
         tuple(files.LEVEL_NAMES)
         == tuple(gain_files.LEVEL_NAMES)

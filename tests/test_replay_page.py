@@ -207,14 +207,16 @@ def test_modules_are_linked_in_order_each_once() -> None:
     ],
 )
 def test_other_forms_of_modules_are_refused(monkeypatch: pytest.MonkeyPatch, odd: str) -> None:
-    monkeypatch.setattr("baselines.replay.linking.text_of", lambda name: f"const a = 1;\n{odd}\n")
+    monkeypatch.setattr(
+        "baselines.replay.linking.text_of", lambda name, places: f"const a = 1;\n{odd}\n"
+    )
     with pytest.raises(ValueError, match=r"odd\.js: .*expected the forms of"):
         linked("odd.js")
 
 
 def test_modules_that_need_each_other_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     texts = {"a.js": 'import { b } from "./b.js";', "b.js": 'import { a } from "./a.js";'}
-    monkeypatch.setattr("baselines.replay.linking.text_of", texts.__getitem__)
+    monkeypatch.setattr("baselines.replay.linking.text_of", lambda name, places: texts[name])
     with pytest.raises(ValueError, match=r"a\.js: imports itself by way of a\.js, b\.js"):
         linked("a.js")
 

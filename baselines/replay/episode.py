@@ -54,14 +54,19 @@ class Episode(NamedTuple):
 
     def end(self) -> str:
         """How the flight ended, in words."""
-        failed = np.flatnonzero(self.failure)
-        if not len(failed):
-            return "no failure"
-        kind = FAILURES[self.failure[failed[0]]]
-        when = f"at {self.time[-1]:.2f} s"
-        if kind == "leader":
-            return f"leader crashed {when}"
-        if kind == "unstarted":
-            return f"not started by the deadline, {when}"
-        who = ", ".join(str(i + 1) for i in failed if FAILURES[self.failure[i]] == kind)
-        return f"{kind} of follower{'s' if ',' in who else ''} {who} {when}"
+        return ending(self.failure, float(self.time[-1]))
+
+
+def ending(failure: NDArray[np.int64], time: float) -> str:
+    """How a flight ended at `time` (s since reset) with these kinds of failure, `(n,)`, in words."""
+    failed = np.flatnonzero(failure)
+    if not len(failed):
+        return "no failure"
+    kind = FAILURES[failure[failed[0]]]
+    when = f"at {time:.2f} s"
+    if kind == "leader":
+        return f"leader crashed {when}"
+    if kind == "unstarted":
+        return f"not started by the deadline, {when}"
+    who = ", ".join(str(i + 1) for i in failed if FAILURES[failure[i]] == kind)
+    return f"{kind} of follower{'s' if ',' in who else ''} {who} {when}"

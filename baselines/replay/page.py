@@ -19,6 +19,7 @@ from baselines.replay.episode import Episode
 from baselines.replay.linking import linked, text_of
 from baselines.replay.lyapunov import NAMES
 from baselines.replay.packing import deflated, pack
+from formation_env import FormationConfig
 from formation_env.validation.checks import require
 
 _INSTANTS = 4000
@@ -94,25 +95,31 @@ def _continuous(attitudes: Any) -> Any:
 
 def _card(episode: Episode) -> dict[str, Any]:
     """What a page says of an episode in words and single numbers."""
-    config = episode.config
+    return {
+        **card(episode.policy, episode.config, episode.seed),
+        "end": episode.end() if episode.failure.any() else None,
+        "failure": episode.failure.tolist(),
+        "metrics": {k: x if np.isfinite(x) else None for k, x in episode.metrics.items()},
+    }
+
+
+def card(policy: str, config: FormationConfig, seed: int | None) -> dict[str, Any]:
+    """What a page says of a flight before it is flown."""
     entries = _ENTRIES.get(config.action, ())
     if len(entries) != config.action_size:
         entries = tuple(f"entry {i}" for i in range(config.action_size))
     offsets = np.linalg.norm(np.array(config.offsets), axis=1)
     return {
-        "policy": episode.policy,
+        "policy": policy,
         "scenario": config.scenario,
         "action": config.action,
-        "seed": episode.seed,
+        "seed": seed,
         "followers": config.followers,
         "duration": config.duration,
         "period": config.control_period,
-        "end": episode.end() if episode.failure.any() else None,
-        "failure": episode.failure.tolist(),
         "collision": config.limits.collision,
         "offsets": [round(float(x), 4) for x in offsets],
         "entries": entries,
-        "metrics": {k: x if np.isfinite(x) else None for k, x in episode.metrics.items()},
     }
 
 

@@ -104,11 +104,16 @@ export class Panel {
       ...flight.entries.map((name, k) => new Option(name, String(k), false, k === this.entry)),
     );
     this.entry = Math.min(this.entry, flight.entries.length - 1);
-    if (this.chosen === null) this.fillCompared();
-    else this.fillFollowers(flight);
+    this.refresh();
     this.drawLegend();
     const number = this.highlight === null ? null : this.highlight - 1;
     this.plots.forEach((plot) => plot.setHighlight(plot === this.lyapunov && this.chosen !== null ? null : number));
+  }
+
+  // The lines anew, of flights that have gone on.
+  refresh() {
+    if (this.chosen === null) this.fillCompared();
+    else this.fillFollowers(this.flights[this.chosen]);
   }
 
   fillFollowers(flight) {

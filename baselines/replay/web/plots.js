@@ -5,7 +5,7 @@
 //   plot.paint(colours); plot.setSpan(0, last); plot.setTime(t);
 //
 // `low` is where the axis begins, `least` how much it covers at least. `limit` is { value, name }: a level
-// that is drawn. `seek(t)` is called with a time in seconds.
+// that is drawn. `seek(t)` is called with a time in seconds; null: a click does nothing.
 import { colourOf, dashOf } from "./colours.js";
 
 const MARGIN = { left: 44, right: 22, top: 8, bottom: 20 };
@@ -13,7 +13,7 @@ const FONT = "11px system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif";
 
 export class TimePlot {
   constructor(parent, options) {
-    this.options = { log: false, low: null, least: 1e-3, limit: null, seek: () => {}, ...options };
+    this.options = { log: false, low: null, least: 1e-3, limit: null, seek: null, ...options };
     this.series = [];
     this.highlight = null;
     this.span = [0, 1];
@@ -34,6 +34,7 @@ export class TimePlot {
     this.area.setAttribute("role", "img");
     [this.lines, this.cursor] = this.area.querySelectorAll("canvas");
     const seek = (event) => {
+      if (!this.options.seek) return;
       const box = this.area.getBoundingClientRect();
       const share = (event.clientX - box.left - MARGIN.left) / (box.width - MARGIN.left - MARGIN.right);
       const [from, to] = this.span;
@@ -278,7 +279,8 @@ export class TimePlot {
 
   describe() {
     const names = this.series.map(({ name }) => name).join(", ");
-    this.area.setAttribute("aria-label", `${this.options.title} against time: ${names}. Click to go to a time.`);
+    const more = this.options.seek ? " Click to go to a time." : "";
+    this.area.setAttribute("aria-label", `${this.options.title} against time: ${names}.${more}`);
   }
 }
 
