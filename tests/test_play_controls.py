@@ -10,13 +10,14 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import pytest
 
-from baselines.play.controls import Control, comments, controls, divided, groups
+from baselines.play.controls import Control, controls, groups
 from baselines.play.settings import configuration, from_fields, python, values, with_change
+from baselines.system.field_comments import comments
 from formation_env import SCENARIOS, FormationConfig, configure
 from formation_env.config import CHOICES, COUNTS, NUMBERS, PARTS, quietly
 from formation_env.memory.records import notes
 from formation_env.trajectories import Trajectory
-from formation_env.validation.checks import Within
+from formation_env.validation.checks import Unit, Within
 
 CONTROLS = {control.name: control for control in controls()}
 
@@ -24,9 +25,9 @@ CONTROLS = {control.name: control for control in controls()}
 class Breeze(NamedTuple):
     """What blows."""
 
-    # m/s, at the height
+    # at the height
     # of the leader
-    speed: Annotated[float, Within(0.0, 40.0, strict=True)] = 3.0
+    speed: Annotated[float, Within(0.0, 40.0, strict=True, unit="m/s")] = 3.0
     kind: str = "north"  # where from
 
 
@@ -35,11 +36,11 @@ class Later:
     """A configuration of a later version."""
 
     scenario: str = "custom"
-    gust: float = 0.5  # m/s^2, known by its name
-    sail: float = 7.0  # m, new
+    gust: Annotated[float, Unit("m/s^2")] = 0.5  # known by its name
+    sail: Annotated[float, Unit("m")] = 7.0  # new
     crew: int = 3
     flag: bool = False
-    spare: float | None = None  # kg, None: none
+    spare: Annotated[float | None, Unit("kg")] = None  # None: none
     corner: tuple[float, float, float] = (0.0, 0.0, 0.0)
     breeze: Breeze = Breeze()  # noqa: RUF009
 
@@ -97,27 +98,11 @@ def test_sliders_reach_beyond_every_scenario() -> None:
                 assert one.step is not None and 0.0 < one.step < one.high - one.low
 
 
-@pytest.mark.parametrize(
-    ("comment", "expected"),
-    [
-        ("m/s^2, standard deviation", ("m/s^2", "standard deviation")),
-        ("1/s", ("1/s", "")),
-        ("kg m^2, diagonal of J", ("kg m^2", "diagonal of J")),
-        ("None: p11 k1 / k2", ("", "None: p11 k1 / k2")),
-        ("samples", ("", "samples")),
-        ("s, of an episode; m", ("s", "of an episode; m")),
-        ("", ("", "")),
-    ],
-)
-def test_comments_begin_with_a_unit_or_not(comment: str, expected: tuple[str, str]) -> None:
-    assert divided(comment) == expected
-
-
 def test_comments_are_those_beside_the_fields() -> None:
-    assert comments(FormationConfig)["gust_time"] == "s, its correlation time"
+    assert comments(FormationConfig)["gust_time"] == "its correlation time"
     assert CONTROLS["gust"].unit == "m/s^2"
     assert CONTROLS["limits.deadline"].unit == "s", "on a line of its own within the field"
-    assert CONTROLS["limits.collision"].text.startswith("least between the centres")
+    assert CONTROLS["limits.collision"].text.startswith("Least distance between the centres")
     assert comments(int) == {}, "no source text"
 
 

@@ -1,9 +1,8 @@
 """The page's controls, made from the configuration's fields: a new field is a new control.
 
-A field's name, its type, its default and the comment beside it make a control; `Within`, which annotates the
+A field's name, type, default, unit and the comment beside it make a control; `Within`, which annotates the
 fields of records, and the tables of `formation_env.config` give bounds and choices. A field that is a
-part (`noise`, `planner`, ...) gives a control for each of its own. The comment begins with the unit, if it
-has one: `# m/s^2, standard deviation of a random push`.
+part (`noise`, `planner`, ...) gives a control for each of its own.
 
 Bounds say what is possible, which is far more than what is of interest: a slider ends at five times the
 largest value that the field has in a scenario, while the box beside it takes any number.
@@ -11,19 +10,17 @@ largest value that the field has in a scenario, while the box beside it takes an
 
 from __future__ import annotations
 
-import ast
 import inspect
-import io
-import re
-import tokenize
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from math import floor, inf, isfinite, log10
 from types import UnionType
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
+from baselines.system.field_comments import comments
 from formation_env import SCENARIOS, FormationConfig, formations
 from formation_env.config import CHOICES, COUNTS, NUMBERS, quietly
+from formation_env.configuration.parts import unit_of
 from formation_env.memory.records import is_record
 from formation_env.trajectories import FACTORIES, Trajectory
 from formation_env.validation.checks import Within
@@ -38,10 +35,6 @@ _RANK = {
 }
 _REACH = 5.0  # of a slider, in the largest value of a scenario
 _STEPS = 100  # of a slider, about
-
-_UNIT = re.compile(
-    r"(?:1|[mskN]|kg|rad|Hz)(?:\^\d)?(?: (?:kg|m|s|N|rad)(?:\^\d)?)*(?:/(?:kg|m|s|N|rad)(?:\^\d)?)*"
-)
 
 
 class Control(NamedTuple):
@@ -105,7 +98,16 @@ def _of(kind: Any, group: str, examples: Sequence[Any]) -> list[Control]:
         else:
             full = f"{group}{name}"
             found.append(
-                _control(full, group[:-1], hint, note, optional, said.get(name, ""), known)
+                _control(
+                    full,
+                    group[:-1],
+                    hint,
+                    note,
+                    optional,
+                    unit_of(kind, name),
+                    said.get(name, ""),
+                    known,
+                )
             )
     return found
 
@@ -133,11 +135,11 @@ def _control(
     hint: Any,
     note: Within | None,
     optional: bool,
-    comment: str,
+    unit: str,
+    text: str,
     known: Sequence[Any],
 ) -> Control:
-    unit, text = divided(comment)
-    own = Control(name, group, _kind(hint), unit, text, optional)
+    own = Control(name, group, _kind(hint), "" if unit == "1" else unit, text, optional)
     if hint is Trajectory:
         return own._replace(kind="maker", makers=_paths())
     if name in CHOICES:
@@ -189,52 +191,10 @@ def _below(x: float) -> float:
     return float(f"{next(k for k in (5, 2, 1) if k * power <= x * (1 + 1e-9)) * power:.6g}")
 
 
-# -- units and meanings -----------------------------------------------------------------------------
-
-
-def divided(comment: str) -> tuple[str, str]:
-    """Unit and meaning of a comment."""
-    head, _, rest = comment.partition(",")
-    first, _, others = comment.partition(";")
-    for unit, text in ((comment, ""), (head, rest), (first, others)):
-        if _UNIT.fullmatch(unit.strip()):
-            return unit.strip(), text.strip()
-    return "", comment.strip()
-
-
-def comments(kind: type) -> dict[str, str]:
-    """What stands beside each field of a class, or above it where nothing does; empty without source text."""
-    try:
-        source = inspect.cleandoc("\n" + inspect.getsource(kind))
-    except (OSError, TypeError):
-        return {}
-    lines: dict[int, tuple[bool, str]] = {}  # by line: whether it stands alone, and the text
-    for token in tokenize.generate_tokens(io.StringIO(source).readline):
-        if token.type == tokenize.COMMENT:
-            alone = not token.line[: token.start[1]].strip()
-            lines[token.start[0]] = (alone, token.string.lstrip("# ").strip())
-    found = {}
-    (tree,) = ast.parse(source).body
-    for node in getattr(tree, "body", []):
-        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-            found[node.target.id] = _beside(lines, node.lineno, node.end_lineno or node.lineno)
-    return found
-
-
 def _first(what: Any) -> str:
     """The first paragraph of what a class or function says of itself."""
     text = (inspect.getdoc(what) or "").partition("\n\n")[0]
     return " ".join(text.replace("`", "").split())
-
-
-def _beside(lines: Mapping[int, tuple[bool, str]], first: int, last: int) -> str:
-    own = [lines[k][1] for k in range(first, last + 1) if k in lines]
-    above: list[str] = []
-    line = first - 1
-    while not own and line in lines and lines[line][0]:
-        above.insert(0, lines[line][1])
-        line -= 1
-    return " ".join(own or above)
 
 
 # -- functions that make a path or a formation ------------------------------------------------------

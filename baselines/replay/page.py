@@ -33,12 +33,6 @@ _STEPS = {
     "lyapunov": 2e-3,
 }
 _LEAST = 1e-9  # of a Lyapunov function, whose logarithm is shown
-# What the entries of an action are, by level; others are numbered.
-_ENTRIES = {
-    "wrench": ("thrust", "moment about x", "moment about y", "moment about z"),
-    "rates": ("thrust", "rate about x", "rate about y", "rate about z"),
-    "reference": ("acceleration forwards", "acceleration to the right", "acceleration downwards"),
-}
 
 
 def render(episodes: Sequence[Episode], title: str = "Formation replay") -> str:
@@ -105,9 +99,6 @@ def _card(episode: Episode) -> dict[str, Any]:
 
 def card(policy: str, config: FormationConfig, seed: int | None) -> dict[str, Any]:
     """What a page says of a flight before it is flown."""
-    entries = _ENTRIES.get(config.action, ())
-    if len(entries) != config.action_size:
-        entries = tuple(f"entry {i}" for i in range(config.action_size))
     offsets = np.linalg.norm(np.array(config.offsets), axis=1)
     return {
         "policy": policy,
@@ -119,7 +110,7 @@ def card(policy: str, config: FormationConfig, seed: int | None) -> dict[str, An
         "period": config.control_period,
         "collision": config.limits.collision,
         "offsets": [round(float(x), 4) for x in offsets],
-        "entries": entries,
+        "entries": config.level.names,
     }
 
 

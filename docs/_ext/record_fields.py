@@ -5,11 +5,10 @@ from __future__ import annotations
 import ast
 import dataclasses
 import inspect
-import io
 import textwrap
-import tokenize
 from typing import Any, NamedTuple
 
+from baselines.system.field_comments import comments
 from formation_env.configuration.parts import unit_of
 
 
@@ -25,29 +24,17 @@ class Field(NamedTuple):
 def fields(kind: type) -> list[Field]:
     """The fields of `kind`, in order. A comment is behind the field, or on the lines before it."""
     source = textwrap.dedent(inspect.getsource(kind))
-    comments, alone = _comments(source)
     (body,) = ast.parse(source).body
     assert isinstance(body, ast.ClassDef)
-    defaults = _defaults(kind)
-    found = []
-    for node in body.body:
-        if not isinstance(node, ast.AnnAssign) or not isinstance(node.target, ast.Name):
-            continue
-        name, last = node.target.id, node.end_lineno or node.lineno
-        said = [comments[i] for i in range(node.lineno, last + 1) if i in comments]
-        before = node.lineno - 1
-        while before in alone:
-            said.insert(0, alone[before])
-            before -= 1
-        found.append(
-            Field(
-                name,
-                _type(node.annotation),
-                defaults.get(name, _EMPTY),
-                _told(kind, name, " ".join(said)),
-            )
+    defaults, said = _defaults(kind), comments(kind)
+    return [
+        Field(
+            name, _type(node.annotation), defaults.get(name, _EMPTY), _told(kind, name, said[name])
         )
-    return found
+        for node in body.body
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)
+        for name in [node.target.id]
+    ]
 
 
 _EMPTY = inspect.Parameter.empty
@@ -59,17 +46,7 @@ def _told(kind: type, name: str, comment: str) -> str:
         unit = unit_of(kind, name)
     except NameError:
         unit = "1"
-    return ", ".join(filter(None, ("" if unit == "1" else unit, comment)))
-
-
-def _comments(source: str) -> tuple[dict[int, str], dict[int, str]]:
-    """Comments behind code, and those that fill a line, by line."""
-    behind, alone = {}, {}
-    for token in tokenize.generate_tokens(io.StringIO(source).readline):
-        if token.type == tokenize.COMMENT:
-            text = token.string.lstrip("# ").strip()
-            (alone if token.line.lstrip().startswith("#") else behind)[token.start[0]] = text
-    return behind, alone
+    return ": ".join(filter(None, ("" if unit == "1" else unit, comment)))
 
 
 def _defaults(kind: type) -> dict[str, Any]:

@@ -178,6 +178,7 @@ class Level(NamedTuple):
     size: int  # entries of an action
     entries: str  # what they are, and what they range over, for the manual
     range: str
+    names: tuple[str, ...]  # of the entries, for plots
     actuation: int | None  # what turns a follower; None: `reference_actuation` of the configuration
     state: Any  # a record of the virtual vehicle, or None
     begin: Any  # (slot): that record at the start of an episode, or None
@@ -250,6 +251,7 @@ LEVELS = (
         4,
         "thrust along -r3 (N); moment about the body axes x, y, z (N m)",
         "thrust 0 ... `m g` ... `2 m g`; moment -+(0.05, 0.05, 0.02)",
+        ("thrust", "moment about x", "moment about y", "moment about z"),
         MOMENT,
         None,
         None,
@@ -265,6 +267,7 @@ LEVELS = (
         4,
         "thrust (N); angular velocity about the body axes (rad/s) through a first-order lag of 0.05 s",
         "thrust as above; rates -+(10, 10, 5)",
+        ("thrust", "rate about x", "rate about y", "rate about z"),
         RATES,
         None,
         None,
@@ -280,6 +283,7 @@ LEVELS = (
         3,
         "acceleration of a virtual follower, formation frame {F} (m/s^2), that the paper's tracker flies",
         "-+(4, 4, 4)",
+        ("acceleration forwards", "acceleration to the right", "acceleration downwards"),
         None,
         Guide,
         guide_at,
