@@ -35,6 +35,7 @@ from typing import Any
 
 import formation_env
 from baselines.reporting.cells import figure, interval, listed, markdown_table, scored, signed
+from baselines.reporting.rows import unseparated
 from baselines.scoring.intervals import LEVEL, RESAMPLES, Estimate
 from baselines.scoring.metrics import EPISODE, window_ticks
 from baselines.scoring.results import Report, Result, Scenario, Source
@@ -189,9 +190,9 @@ def absences(report: Report) -> list[str]:
 
 def details(scenario: Scenario) -> list[str]:
     """One scenario: conditions, differences, all metrics and the training runs, a row for each policy."""
-    parts = [_conditions(scenario.config), _telling(scenario), _metrics(scenario)]
+    parts = [_conditions(scenario.config), _telling(scenario), *_highest(scenario)]
     runs = _training_runs(scenario)
-    return [*parts, runs] if runs else parts
+    return [*parts, _metrics(scenario), *([runs] if runs else [])]
 
 
 def _conditions(config: FormationConfig) -> str:
@@ -226,6 +227,20 @@ def _telling(scenario: Scenario) -> str:
         for policy, r in scenario.results.items()
     ]
     return markdown_table(head, rows)
+
+
+def _highest(scenario: Scenario) -> list[str]:
+    """Whose score is the highest, and whose are not told apart from it."""
+    if len(scenario.results) < 2:
+        return []
+    near = unseparated(scenario)
+    rest = (
+        f"not separated from it are {listed(near)}" if near else "it is separated from all others"
+    )
+    return [
+        f"The highest score is that of `{scenario.best}`; by intervals ({100 * LEVEL:.0f} %) of the "
+        f"differences, seed by seed and run by run, {rest}."
+    ]
 
 
 def _metrics(scenario: Scenario) -> str:
