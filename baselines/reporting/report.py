@@ -41,11 +41,6 @@ from baselines.scoring.metrics import EPISODE, window_ticks
 from baselines.scoring.results import Report, Result, Scenario, Source
 from formation_env import FormationConfig
 
-SCORE = (
-    "The score is the followers' mean reward over the last 25 s of an episode; what is missing of it, "
-    "crashed or not started, counts zero: 0 to 1, 1 is exact."
-)
-
 # -- JSON -----------------------------------------------------------------------------------------
 
 
@@ -84,7 +79,7 @@ def _scenario(scenario: Scenario) -> dict[str, Any]:
         "action": config.action,
         "followers": config.followers,
         "duration": config.duration,
-        "window": _digits(window_ticks(config) * config.control_period),
+        "window": _digits(window(config)),
         "policies": {name: _result(result) for name, result in scenario.results.items()},
         "files": {name: source._asdict() for name, source in scenario.sources.items()},
         "absent": scenario.absent,
@@ -112,8 +107,33 @@ def _digits(x: float) -> float | None:
 # -- Markdown -------------------------------------------------------------------------------------
 
 
-def grid(report: Report, cell: Callable[[Scenario, str], str]) -> str:
-    """A row for each policy, a column for each scenario; in italics what was trained for another task."""
+def score(report: Report) -> str:
+    """What the score is, with the window of the scenarios that were flown."""
+    named: dict[str, list[str]] = {}
+    for name, scenario in report.scenarios.items():
+        named.setdefault(f"{window(scenario.config):g} s", []).append(name)
+    usual = max(named, key=lambda length: len(named[length]))
+    others = "".join(
+        f", {length} on {listed(names)}" for length, names in named.items() if length != usual
+    )
+    return (
+        f"The score is the followers' mean reward over the last {usual} of an episode{others}; what is "
+        "missing of it, crashed or not started, counts zero: 0 to 1, 1 is exact."
+    )
+
+
+def window(config: FormationConfig) -> float:
+    """How much of an episode is scored, s."""
+    return window_ticks(config) * config.control_period
+
+
+def grid(
+    report: Report,
+    cell: Callable[[Scenario, str], str],
+    head: Callable[[str], str] = "`{}`".format,
+) -> str:
+    """A row for each policy, a column for each scenario with the `head` that is made of its name; in italics
+    what was trained for another task."""
 
     def text(scenario: Scenario, policy: str) -> str:
         if policy not in scenario.results:
@@ -125,12 +145,16 @@ def grid(report: Report, cell: Callable[[Scenario, str], str]) -> str:
         [f"`{policy}`", *(text(scenario, policy) for scenario in report.scenarios.values())]
         for policy in report.policies
     ]
-    return markdown_table(["policy", *(f"`{name}`" for name in report.scenarios)], rows)
+    return markdown_table(["policy", *map(head, report.scenarios)], rows)
 
 
 def markdown(report: Report) -> str:
     """Scores with intervals, files flown, what did not fly, and one part a scenario."""
-    parts = ["## Scores", SCORE, grid(report, lambda s, policy: scored(s.results[policy].score))]
+    parts = [
+        "## Scores",
+        score(report),
+        grid(report, lambda s, policy: scored(s.results[policy].score)),
+    ]
     parts += absences(report)
     files = files_table(report)
     if files:
@@ -197,9 +221,8 @@ def details(scenario: Scenario) -> list[str]:
 
 def _conditions(config: FormationConfig) -> str:
     number = "1 follower" if config.followers == 1 else f"{config.followers} followers"
-    window = window_ticks(config) * config.control_period
     return (
-        f"Action level `{config.action}`, {number}, {config.duration:g} s, of which {window:g} s are "
+        f"Action level `{config.action}`, {number}, {config.duration:g} s, of which {window(config):g} s are "
         "scored."
     )
 
