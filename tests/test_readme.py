@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from formation_env import configure
+
 if sys.version_info >= (3, 11):
     import tomllib
 else:
@@ -101,6 +103,11 @@ def test_links_lead_to_files(document: str) -> None:
     text = (ROOT / document).read_text(encoding="utf-8")
     targets = re.findall(r"\]\(([^)#:]+)\)", text)
     assert [target for target in targets if not ((ROOT / document).parent / target).exists()] == []
+
+
+def test_the_changelogs_duration_is_the_scenarios() -> None:
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert re.findall(r"`nominal` lasts (\S+) s", text) == [f"{configure('nominal').duration:g}"]
 
 
 def test_leaderboard_extract_has_its_place() -> None:
