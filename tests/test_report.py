@@ -89,10 +89,10 @@ def test_the_score_names_the_window_of_what_was_flown() -> None:
         }
         return report.score(Report(0, 3, made))
 
-    assert "over the last 25 s of an episode; what is missing" in said(nominal=30.0, agile=60.0)
-    assert "over the last 8.34 s of an episode; what is missing" in said(nominal=10.0)
+    assert "over the last 25 s of a flight; what is missing" in said(nominal=30.0, agile=60.0)
+    assert "over the last 8.34 s of a flight; what is missing" in said(nominal=10.0)
     text = said(nominal=30.0, agile=10.0, swarm=60.0)
-    assert "over the last 25 s of an episode, 8.34 s on `agile`; what is missing" in text
+    assert "over the last 25 s of a flight, 8.34 s on `agile`; what is missing" in text
 
 
 def test_native_scenarios_are_those_at_their_own_level() -> None:

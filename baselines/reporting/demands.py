@@ -94,7 +94,8 @@ class _Watch:
         if before is None or not flown.any():
             return
         tilts = np.degrees(np.arctan2(np.hypot(axes[..., 0], axes[..., 1]), axes[..., 2]))
-        self._gathered["start_tilt"].append(tilts[flown & ~counted, 1:].ravel())
+        if (before_window := flown & ~counted).any():
+            self._gathered["start_tilt"].append(tilts[before_window, 1:].ravel())
         if not counted.any():
             return
         tilt = tilts[counted]
