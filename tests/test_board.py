@@ -74,6 +74,7 @@ def test_it_is_short(scenarios: int) -> None:
     ):
         assert part in text
     assert len(cells(text, "ppo")) == scenarios
+    assert cells(text, "ppo")[1].endswith(", 48 % experiment*"), "failures are never left out"
     assert ("±" in text.split("\n## ")[0].split("| `ppo`")[1]) == (scenarios < 9)
     assert ("## Robustness" in text) == (scenarios < 10) == (text.count("## ") == 3)
     if scenarios < 10:
@@ -90,11 +91,45 @@ def test_every_learned_cell_says_what_it_was_trained_for(board_of_nine: Report) 
 
 
 def test_failures_are_shown_where_there_are_any() -> None:
+    """Those of transfer are 45.6 % of 40 episodes, rounded up."""
     result = large(3)
     text = board.leaderboard(result, "command", matrix(result))
-    table = text.split(board.LEGEND)[1].split("## What")[0]
-    assert cells(f"{table} ", "ppo")[:2] == ["", "48"]
-    assert "`expert`" not in table
+    own, other, *_ = cells(text, "ppo")
+    assert "%" not in own and other.endswith(", 48 % experiment*")
+    assert not any("%" in cell for cell in cells(text, "expert"))
+    assert "N %: of the episodes" in board.LEGEND
+
+
+@pytest.mark.parametrize(
+    ("share", "text"), [(0.0, "0.500"), (1.0, "0.500, 100 %"), (0.002, "0.500, 0.2 %")]
+)
+def test_a_share_of_failures_stands_behind_the_score(share: float, text: str) -> None:
+    made = scenario({"ff": [np.full(500, 0.5)], "hover": [np.full(500, 0.1)]})
+    runs = {"ff": {**made.results["ff"].runs["ff"], "failed": np.arange(500) < 500 * share}}
+    row = made.results["ff"]._replace(runs=runs)
+    result = Report(0, 500, {"nominal": made._replace(results={**made.results, "ff": row})})
+    shown = cells(board.leaderboard(result, "command", matrix(result)), "ff")[0]
+    assert shown.replace("*", "") == text
+
+
+def test_small_intervals_go_first_and_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Then all of them, then robustness."""
+    small = {name: [near(0.9)] for name in ("expert", "expert-tuned", "ff", "lqr", "bc")}  # ±0.003
+    runs = {**small, "lee": [np.linspace(0.3, 0.7, 30)]}  # ±0.04
+    result = Report(0, 30, {"nominal": scenario(runs)})
+    further = Further(robustness=tried(result))
+    seen, room = [], 8000
+    for _ in range(4):
+        monkeypatch.setattr(board, "LARGEST", room)
+        text = board.leaderboard(result, "command", matrix(result), further)
+        table, room = text.split("\n## ")[0], len(text.encode()) - 1
+        shown = tuple("±" in cells(table, name)[0] for name in ("ff", "lee"))
+        seen.append((shown, "## Robustness" in text))
+        assert ("where 0.005 or more" in table) == (shown == (False, True))
+        assert ("intervals are on the pages" in table) == (not any(shown))
+    assert seen == [((True, True), True), ((False, True), True)] + [
+        ((False, False), robust) for robust in (True, False)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -116,6 +151,10 @@ def test_an_interval_is_one_half_only_where_it_has_two(
     estimate: tuple[float, float, float], text: str
 ) -> None:
     assert rounded(Estimate(*estimate, 100)) == text
+    value, low, high = estimate
+    assert (
+        rounded(Estimate(*estimate, 100), max(value - low, high - value) + 1e-9) == f"{value:.3f}"
+    )
 
 
 def test_the_worst_run_stands_beside_the_median_where_it_is_another() -> None:

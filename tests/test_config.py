@@ -62,7 +62,10 @@ def test_where_only_the_sufficient_bound_fails_it_warns() -> None:
         ({"trajectory": trajectories.hover((0.0, 0.0, -0.2))}, r"offsets\[0\] = .*floor.*\(32\)"),
         ({"offsets": ((0.5, 0.0, -0.3), (0.5, 0.1, -0.3))}, "offsets = '0.1 m apart'"),
         ({"start_offset": 0.18}, "start_offset = 0.18: .*limits.collision = 0.353 m"),
-        ({"start": "ground", "leader_start": (0.0, 0.0, -1.0)}, "p_z = 0, the floor"),
+        (
+            {"start": "ground", "leader_start": (0.0, 0.0, -1.0)},
+            r"heights .* leader_start .* = \[-1.0, .*p_z = 0",
+        ),
         ({"start": "ground", "follower_starts": ((0, 0, 0), (0.1, 0, 0))}, "0.1 m apart"),
         ({"vehicle": Vehicle, "duration": 1.0}, "vehicle = "),
         ({"measurement_period": 0.0033}, "whole number of substeps .* = 0.005 s"),

@@ -14,6 +14,8 @@ import pages
 import pytest
 from pages import APART, DOCS, PAGES, ROOT, Program
 
+from formation_env import configure
+
 if sys.version_info >= (3, 11):
     import tomllib
 else:
@@ -113,6 +115,11 @@ def test_links_lead_to_files(page: Path) -> None:
     text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
     targets = re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", text)
     assert [target for target in targets if not (page.parent / target).exists()] == []
+
+
+def test_the_changelogs_duration_is_the_scenarios() -> None:
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert re.findall(r"`nominal` lasts (\S+) s", text) == [f"{configure('nominal').duration:g}"]
 
 
 def test_leaderboard_extract_has_its_place() -> None:

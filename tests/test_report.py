@@ -81,6 +81,20 @@ def test_the_files_table_says_whose_clone_a_policy_is() -> None:
     assert "| `nominal` | `wrench` | - | 1 | - | `nominal` |" in text
 
 
+def test_the_score_names_the_window_of_what_was_flown() -> None:
+    def said(**durations: float) -> str:
+        made = {
+            name: scenario({"ff": [np.zeros(3)]}, config=configure(name, duration=duration))
+            for name, duration in durations.items()
+        }
+        return report.score(Report(0, 3, made))
+
+    assert "over the last 25 s of a flight; what is missing" in said(nominal=30.0, agile=60.0)
+    assert "over the last 8.34 s of a flight; what is missing" in said(nominal=10.0)
+    text = said(nominal=30.0, agile=10.0, swarm=60.0)
+    assert "over the last 25 s of a flight, 8.34 s on `agile`; what is missing" in text
+
+
 def test_native_scenarios_are_those_at_their_own_level() -> None:
     one = scenario({"ff": [np.full(4, 0.5)]})
     rates = scenario({"ff": [np.full(4, 0.5)]}, config=configure("nominal", action="rates"))

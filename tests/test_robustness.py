@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from math import hypot, isnan
 
 import numpy as np
 import pytest
 
 from baselines import make_policy
+from baselines.policies.gain_files import UntunedWarning
 from baselines.policies.simple import Hover
 from baselines.reporting import robustness as page
 from baselines.scoring import robustness
@@ -19,7 +21,7 @@ from formation_env import SCENARIOS, FormationConfig, configure
 from formation_env.trajectories import circle
 
 BY_NAME = {change.name: change for change in CHANGES}
-LATE, NOISE, MASS, WIDE, MORE, LONG = BY_NAME
+LATE, NOISE, MASS, WIDE, MORE, LONG, OFF = BY_NAME
 
 
 # -- the table ------------------------------------------------------------------------------------
@@ -40,12 +42,14 @@ def test_a_change_changes_what_it_says_and_nothing_else(scenario: str) -> None:
         WIDE: {"offsets"},
         MORE: {"offsets", "follower_starts", "leader_start"},
         LONG: {"duration"},
+        OFF: {"offsets", "start_offset"},
     }
+    impossible = {("experiment", WIDE), ("experiment", OFF), ("paper", OFF)}
     for change in CHANGES:
-        if (scenario, change.name) == ("experiment", WIDE):
+        if (scenario, change.name) in impossible:
             continue
         assert different(config, changed(config, change)) <= fields[change.name], change.name
-    assert [c.name for c in CHANGES if c.told] == [WIDE, MORE, LONG]
+    assert [c.name for c in CHANGES if c.told] == [WIDE, MORE, LONG, OFF]
 
 
 def test_how_much_it_changes() -> None:
@@ -56,7 +60,9 @@ def test_how_much_it_changes() -> None:
     assert changed(configure("nominal"), BY_NAME[NOISE]).noise.velocity == 0.005
     assert changed(config, BY_NAME[WIDE]).offsets[0] == pytest.approx((0.42, 0.42, -0.36))
     assert changed(config, BY_NAME[MORE]).followers == 3
-    assert changed(config, BY_NAME[LONG]).duration == 80.0
+    assert changed(config, BY_NAME[LONG]).duration == 2.0 * config.duration
+    off = changed(configure("nominal"), BY_NAME[OFF])
+    assert (off.offsets, off.start_offset) == (((0.35, 0.35, 1.5),), 0.5)
 
 
 def test_a_heavier_vehicle_falls_where_the_nominal_one_hovers() -> None:
@@ -96,6 +102,7 @@ def test_a_world_that_a_policy_is_not_told_of_is_what_is_scored() -> None:
     ("config", "change", "reason"),
     [
         (configure("experiment"), WIDE, "backwards"),
+        (configure("paper"), OFF, "all start on the floor"),
         (configure("nominal", offsets=((0.4, 0.0, -0.4),)), MORE, "formation"),
         (configure("nominal", trajectory=circle(3.0), duration=5.0), LATE, ""),
     ],
@@ -118,6 +125,27 @@ def test_a_leader_that_cannot_get_up_is_found() -> None:
     assert not leader_starts(changed(config, BY_NAME[LATE]), range(4))
     assert leader_starts(changed(configure("paper"), BY_NAME[LATE]), range(4))
     assert leader_starts(changed(configure("nominal"), BY_NAME[LATE]), range(4)), "in flight"
+
+
+def test_the_leader_has_the_ticks_of_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A deadline of 2.5 ticks is over after the third, as in the task."""
+    most = []
+    monkeypatch.setattr(robustness, "fly", lambda *_, **options: most.append(options["most"]))
+    config = configure("paper", limits={"deadline": 0.05})
+    assert not leader_starts(config, range(1))
+    assert most == [config.deadline_steps] == [3]
+
+
+def test_gains_that_win_near_the_slot_cannot_come_back_from_half_a_metre() -> None:
+    """Which only this change shows: `lee-tuned` fails from where `ff` never does."""
+    config = changed(configure("nominal", duration=12.0), BY_NAME[OFF])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UntunedWarning)
+        failed = {
+            name: fly(make_policy(name, config), range(8))["failed"].mean()
+            for name in ("ff", "lee-tuned")
+        }
+    assert failed["ff"] == 0.0 < failed["lee-tuned"]
 
 
 class Told:
@@ -228,6 +256,16 @@ def test_the_boards_table_and_its_caption() -> None:
     assert "over `a`, `b`," in text and "on 20 seeds" in text
     assert "Policies are told of *wide*, and not of the others." in text
     assert text.endswith(" Left out: *late* on `b` (no leader).")
+
+
+def test_what_is_left_out_is_told_once_for_each_reason_and_change() -> None:
+    void = {
+        ("a", "wide"): "on the floor",
+        ("b", "wide"): "on the floor",
+        ("b", "late"): "no leader",
+    }
+    text = page.caption(made()._replace(void=void))
+    assert text.endswith(" Left out: *wide* on `a`, `b` (on the floor); *late* on `b` (no leader).")
 
 
 def test_the_page_holds_every_cell() -> None:

@@ -24,8 +24,8 @@ ID = "formation_env:Formation-v0"
 # What holds of some ways to say how long an episode is.
 LENGTHS: list[tuple[dict[str, Any], int]] = [
     ({}, 1500),
-    ({"scenario": "paper"}, 2000),
-    ({"scenario": "experiment"}, 1760),
+    ({"scenario": "paper"}, 2250),
+    ({"scenario": "experiment"}, 1980),
     ({"scenario": configure("agile", duration=3.0)}, 150),
     ({"duration": 2.0}, 100),
     ({"duration": 60.0}, 3000),
@@ -84,7 +84,7 @@ def test_wrappers_that_look_for_the_limit_find_it() -> None:
 
 @pytest.mark.parametrize(
     ("options", "steps", "most"),
-    [({}, 3000, 1500), ({"duration": 2.0}, 101, 100), ({"scenario": "paper"}, 2001, 2000)],
+    [({}, 3000, 1500), ({"duration": 2.0}, 101, 100), ({"scenario": "paper"}, 2251, 2250)],
     ids=repr,
 )
 def test_a_limit_beyond_the_duration_is_refused(

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable
-from functools import partial
+from math import inf
 from pathlib import Path
 
 import formation_env
 from baselines.reporting import demands, profile, report, robustness, statistics
-from baselines.reporting.cells import markdown_table, rounded
+from baselines.reporting.cells import rounded
 from baselines.reporting.findings import findings
 from baselines.reporting.further import Further
 from baselines.reporting.rows import PAPER, SEEDS, agreed_best
@@ -32,8 +32,10 @@ BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"
 LARGEST = 8000  # bytes of LEADERBOARD.md
 TOP = 4  # policies that the README shows, beside the paper's
 
+ANY, CLEAR = 0.0005, 0.005  # half the width of the intervals that are shown, at least
 WORST = 0.02  # by which the worst run's score is below the median's where it is shown
 LEGEND = (
+    "N %: of the episodes, of all runs, have failed. "
     f"Behind a learned score: the worst run's where lower by {WORST:g} or more; what it was trained for, "
     "`own` this one. *Italics*: transfer. `-`: does not fly it. NAME:LEVEL: at another action "
     "level. "
@@ -57,50 +59,38 @@ Cell = Callable[[Scenario, str], str]
 def leaderboard(
     result: Report, command: str, figures: Matrix, further: Further | None = None
 ) -> str:
-    """The text of LEADERBOARD.md: where it would be too long without the failures, then without intervals in
-    the table, and if need be without robustness, all of which the pages have too."""
+    """The text of LEADERBOARD.md: where it would be too long without the small intervals in the table, then
+    without any, and if need be without robustness, which the pages have too."""
     further = further or Further()
     best = {id(s): agreed_best(s) for s in result.scenarios.values() if s.results}
 
-    def cell(number: Cell) -> Cell:
+    def cell(least: float) -> Cell:
         def text(scenario: Scenario, policy: str) -> str:
-            found = number(scenario, policy)
+            found = rounded(scenario.results[policy].score, least)
             found = f"**{found}**" if best[id(scenario)] == policy else found
+            failed = _failed(scenario.results[policy].failed)
             source = scenario.sources.get(policy)
             if source is None:
-                return found
-            return (
-                f"{found}{_worst(scenario, policy)} {source.scenario if source.differs else 'own'}"
-            )
+                return f"{found}{failed}"
+            trained = source.scenario if source.differs else "own"
+            return f"{found}{_worst(scenario, policy)}{failed} {trained}"
 
         return text
 
-    said = findings(result, figures, further)
-    page, failed, robust = (
-        partial(_page, result, command, said),
-        _failures(result),
-        _robustness(further),
-    )
+    said, robust = findings(result, figures, further), _robustness(further)
     text = ""
-    for number, failures, tried in (
-        (_with_interval, failed, robust),
-        (_with_interval, "", robust),
-        (_alone, failed, robust),
-        (_alone, "", robust),
-        (_alone, "", []),
-    ):
-        text = page(cell(number), failures, tried)
+    for least, tried in ((ANY, robust), (CLEAR, robust), (inf, robust), (inf, [])):
+        text = _page(result, command, said, cell(least), _spread(least), tried)
         if len(text.encode()) <= LARGEST:
             break
     return text
 
 
-def _with_interval(scenario: Scenario, policy: str) -> str:
-    return rounded(scenario.results[policy].score)
-
-
-def _alone(scenario: Scenario, policy: str) -> str:
-    return f"{scenario.results[policy].score.value:.3f}"
+def _spread(least: float) -> str:
+    """What the intervals in the table are."""
+    if least == inf:
+        return "intervals are on the pages"
+    return f"± 95 % over runs and episodes{f', where {least:g} or more' if least > ANY else ''}"
 
 
 def _worst(scenario: Scenario, policy: str) -> str:
@@ -108,6 +98,11 @@ def _worst(scenario: Scenario, policy: str) -> str:
     result = scenario.results[policy]
     worst = min(result.scores.values())
     return f", worst {f'{worst:.3f}'.lstrip('0')}" if result.score.value - worst >= WORST else ""
+
+
+def _failed(share: float) -> str:
+    """Failed episodes in %, where there are any."""
+    return f", {100.0 * share:.{0 if share >= 0.01 else 1}f} %" if share else ""
 
 
 def _robustness(further: Further) -> list[str]:
@@ -118,7 +113,7 @@ def _robustness(further: Further) -> list[str]:
 
 
 def _page(
-    result: Report, command: str, said: list[str], cell: Cell, failures: str, robust: list[str]
+    result: Report, command: str, said: list[str], cell: Cell, spread: str, robust: list[str]
 ) -> str:
     layout = next(iter(result.scenarios.values())).config.layout.version
     last = result.seed + result.episodes - 1
@@ -127,42 +122,30 @@ def _page(
             "# Leaderboard",
             f"Written by `{command}`; do not edit. `Formation-v0`, observation layout {layout}, package "
             f"{formation_env.__version__}; seeds {result.seed} to {last} of each scenario, the same for "
-            f"every policy. {report.SCORE} Of several training runs the median is shown; ± 95 % over "
-            "runs and episodes.",
-            report.grid(result, cell),
+            f"every policy. {report.score(result)} Of several training runs the median is shown; {spread}.",
+            report.grid(result, cell, lambda name: f"[{name}]({_page_of(name)})"),
             LEGEND,
-            *(["Episodes of all runs that failed, % (none where empty):", failures] if failures else []),
             *robust,
             "## What it says",
             *said,
             "## How to add a row",
             ADD,
-            f"More: {_links(result)}.",
+            f"More: {_links()}.",
         ]
     ) + "\n"  # fmt: skip
 
 
-def _failures(result: Report) -> str:
-    """Failed episodes in %, where there are any; empty without one."""
-
-    def cell(scenario: Scenario, policy: str) -> str:
-        known = scenario.results.get(policy)
-        failed = known.failed if known else 0.0
-        return f"{100.0 * failed:.{0 if failed >= 0.01 else 1}f}" if failed else ""
-
-    rows = {p: [cell(s, p) for s in result.scenarios.values()] for p in result.policies}
-    shown = [[f"`{policy}`", *cells] for policy, cells in rows.items() if any(cells)]
-    return markdown_table(["policy", *result.scenarios], shown) if shown else ""
-
-
-def _links(result: Report) -> str:
-    pages = {name: page_name(name) for name in result.scenarios}
-    pages |= {"what makes each hard": DEMANDS, "robustness": ROBUSTNESS}
+def _links() -> str:
+    pages = {"what makes each hard": DEMANDS, "robustness": ROBUSTNESS}
     pages |= {"statistics": STATISTICS, "policy files": FILES, "meanings": FIGURES, "all": JSON}
     return ", ".join(f"[{name}]({PAGES.as_posix()}/{file})" for name, file in pages.items())
 
 
 # -- the other pages ------------------------------------------------------------------------------
+
+
+def _page_of(scenario: str) -> str:
+    return f"{PAGES.as_posix()}/{page_name(scenario)}"
 
 
 def page_name(scenario: str) -> str:
@@ -190,7 +173,7 @@ def pages(result: Report, figures: Matrix, further: Further | None = None) -> di
             ["# Robustness", back, *(robustness.parts(robust) if robust else ["Not flown."])]
         ),
         FILES: _joined(["# Policy files", back, files, *absent]),
-        FIGURES: _joined(["# Figures", back, report.SCORE, report.meanings()]),
+        FIGURES: _joined(["# Figures", back, report.score(result), report.meanings()]),
         STATISTICS: _joined(
             ["# Statistics over scenarios", back, *statistics.parts(result, figures, PICTURE)]
         ),

@@ -55,8 +55,8 @@ def budget_of(command: str) -> Budget:
 
 
 def sentence(report: Report, budgets: Budgets) -> str:
-    """Candidates times episodes of every search whose gains have flown, and what else differs between the
-    searches; empty without any."""
+    """Candidates times episodes of every search whose gains have flown, the scenarios on which these differ
+    from policy to policy, and what else differs between the searches; empty without any."""
     used = {
         policy: {
             name: budgets[policy][key]
@@ -74,8 +74,12 @@ def sentence(report: Report, budgets: Budgets) -> str:
     for policy, each in used.items():
         kinds.setdefault(_spent(each), []).append(policy)
     told = "; ".join(f"{listed(policies)} {spent}" for spent, policies in kinds.items())
-    amounts = {b[:2] for each in used.values() for b in each.values()}
-    differ = " Budgets differ." if len(amounts) > 1 else ""
+    amounts: dict[str, set[tuple[int, int]]] = {}
+    for each in used.values():
+        for name, b in each.items():
+            amounts.setdefault(name, set()).add((b.candidates, b.episodes))
+    unequal = [name for name, found in amounts.items() if len(found) > 1]
+    differ = f" Budgets differ on {listed(unequal)}." if unequal else ""
     return f"Candidates x episodes: {told}.{differ}{_feedforwards(used)}"
 
 

@@ -28,12 +28,13 @@ def scored(s: Estimate) -> str:
     return f"{s.value:.3f}" if exact else f"{s.value:.3f} ({s.low:.3f} .. {s.high:.3f})"
 
 
-def rounded(s: Estimate) -> str:
-    """A score with the longer half of its interval; with both ends where the halves differ by more than a
-    third of it and 0.001, or where the interval so written would go beyond 0 or 1."""
+def rounded(s: Estimate, least: float = 0.0005) -> str:
+    """A score with the longer half of its interval, if that is at least `least`; with both ends where the
+    halves differ by more than a third of it and 0.001, or where the interval so written would go beyond 0 or
+    1."""
     low, high = s.value - s.low, s.high - s.value
     half = max(low, high)
-    if half < 0.0005:
+    if half < least:
         return f"{s.value:.3f}"
     if abs(high - low) > max(half / 3.0, 0.001) or half > min(s.value, 1.0 - s.value):
         return f"{s.value:.3f} ({_short(s.low)} .. {_short(s.high)})"

@@ -1,7 +1,8 @@
 """What a scenario asks of the vehicles, and what makes it hard: a page of the board.
 
 A policy is flown, and percentiles are taken of its tilt, thrust and turning and of the leader's motion over
-the ticks after the trigger (40). What makes a scenario hard follows from its configuration.
+the ticks that are scored, `metrics.window_ticks`: how the vehicles come together before is another matter,
+and has a column of its own. What makes a scenario hard follows from its configuration.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from baselines.policies.base import Policy
 from baselines.policies.transfer import transfer_unwarned
 from baselines.reporting.cells import markdown_table
 from baselines.scoring.evaluation import Flyable
+from baselines.scoring.metrics import flight_ticks, window_ticks
 from baselines.scoring.results import Report
 from baselines.scoring.rollout import fly
 from baselines.system.progress import Bar
@@ -40,7 +42,8 @@ class Percentiles(NamedTuple):
 
 
 class Demands(NamedTuple):
-    """Percentiles over ticks after the trigger (40), worlds, and followers where it says so."""
+    """Percentiles over the ticks that are scored, from the trigger (40) on, worlds, and followers where it
+    says so."""
 
     tilt: Percentiles  # deg, of the followers: between thrust axis and vertical
     thrust: (
@@ -50,6 +53,9 @@ class Demands(NamedTuple):
     leader_tilt: Percentiles  # deg
     speed: Percentiles  # m/s, of the leader
     acceleration: Percentiles  # m/s^2, of the leader
+    start_tilt: (
+        Percentiles  # deg, of the followers, from the trigger until the ticks that are scored
+    )
     jump: Percentiles  # m, of the followers' slots on the tick on which the trigger fires
 
 
@@ -69,6 +75,8 @@ class _Watch:
 
     def __init__(self, config: FormationConfig) -> None:
         self._config = config
+        unscored = flight_ticks(config) - window_ticks(config)
+        self._unscored = (unscored + 0.5) * config.control_period  # s since the start
         self._before: tuple[Floats, Floats] | None = None  # velocities and thrust axes
         self._waiting: tuple[NDArray[np.bool_], Floats] | None = (
             None  # which worlds wait, and slots
@@ -81,14 +89,20 @@ class _Watch:
         v, axes = simulation.velocities, thrust_axes(simulation.attitudes)
         before, self._before = self._before, (v, axes)
         self._look_at_start(simulation, stepped)
-        counted = stepped & (simulation.clock > 0.0)
-        if before is None or not counted.any():
+        flown = stepped & (simulation.clock > 0.0)
+        counted = flown & (simulation.clock > self._unscored)
+        if before is None or not flown.any():
             return
+        tilts = np.degrees(np.arctan2(np.hypot(axes[..., 0], axes[..., 1]), axes[..., 2]))
+        if (before_window := flown & ~counted).any():
+            self._gathered["start_tilt"].append(tilts[before_window, 1:].ravel())
+        if not counted.any():
+            return
+        tilt = tilts[counted]
         a = (v - before[0])[counted] / self._config.control_period
         force = a - np.array([0.0, 0.0, GRAVITY])
         # Over the tick the thrust axis is about where it is half way.
         thrust = -(force * 0.5 * (axes + before[1])[counted]).sum(axis=-1) / GRAVITY
-        tilt = np.degrees(np.arctan2(np.hypot(axes[..., 0], axes[..., 1]), axes[..., 2]))[counted]
         tick = {
             "tilt": tilt[:, 1:],
             "thrust": thrust[:, 1:],
@@ -164,9 +178,10 @@ def of_best(
 # -- the page -------------------------------------------------------------------------------------
 
 ABOUT = (
-    f"Tilt, thrust and turning of the followers, and the leader's motion, flown by the best policy of each "
-    f"scenario: what {' / '.join(f'{p:g}' for p in PERCENTS)} % of the values do not exceed, over followers, "
-    f"ticks after the start and the first {EPISODES} episodes. Thrust is the specific force along the "
+    "Tilt, thrust and turning of the followers, and the leader's motion, flown by the policy with the "
+    f"highest score: what {' / '.join(f'{p:g}' for p in PERCENTS)} % of the values do not exceed, over "
+    f"followers, the ticks that are scored and the first {EPISODES} episodes; the tilt at the start, "
+    "over the ticks from the start, or the trigger, until then. Thrust is the specific force along the "
     "thrust axis over gravity. Turning is a share of the limit, of the body axis where it is largest: of "
     "the moment that is commanded, at level `rates` of the angular velocity that is, at level "
     '`reference` of the angular velocity that the tracker brings about. Below, "up to" is '
@@ -174,7 +189,7 @@ ABOUT = (
 )
 HEAD = (
     *("scenario", "policy", "tilt, deg", "thrust / weight", "turning / limit"),
-    *("leader's speed, m/s", "acceleration, m/s^2"),
+    *("leader's speed, m/s", "acceleration, m/s^2", "tilt at the start, deg"),
 )
 
 
@@ -215,7 +230,7 @@ def _row(name: str, flown: Flown) -> list[str]:
     d = flown.demands
     cells = [
         _cell(d.tilt, 1), _cell(d.thrust, 3), _cell(d.turn, 3), _cell(d.speed, 2),
-        _cell(d.acceleration, 2),
+        _cell(d.acceleration, 2), _cell(d.start_tilt, 1),
     ]  # fmt: skip
     return [f"`{name}`", f"`{flown.policy}`", *cells]
 
@@ -284,7 +299,7 @@ def _motion(config: FormationConfig, flown: Flown) -> str:
     """How the leader moves, and what following it took."""
     d = flown.demands
     if np.isnan(d.speed.median):
-        return "No flight got past its start."
+        return "No flight got as far as what is scored."
     path = ", on another path in every episode," if config.trajectory.random is not None else ""
     jump = (
         ""

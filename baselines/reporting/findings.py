@@ -12,7 +12,7 @@ from baselines.reporting import budgets
 from baselines.reporting.budgets import Budgets
 from baselines.reporting.cells import listed, scored
 from baselines.reporting.further import PLAIN, Ceiling, Further, paper_level
-from baselines.reporting.rows import PAPER, TUNED, agreed_best, hardest, laws, searched
+from baselines.reporting.rows import PAPER, TUNED, agreed_best, hardest, laws, searched, unseparated
 from baselines.scoring.results import Report, Scenario
 from baselines.scoring.suite import Matrix, probability_of_improvement, suite_score
 from formation_env.physics.quadrotor import RATES
@@ -215,37 +215,38 @@ def _transfer(report: Report) -> str:
 
 
 def _left(report: Report, ceiling: Ceiling | None) -> str:
-    """The scenario whose best score is the lowest, what limits it, and where a best policy is agreed."""
+    """The scenario whose highest score is the lowest, what limits it, and where a best policy is agreed.
+
+    Whose score that is says something only where it is separated from the next: else all are named that are
+    not."""
     name = hardest(report)
     if name is None:
         return ""
     scenario = report.scenarios[name]
     best = scenario.results[scenario.best]
-    late = best.summary["slot_error_late"].value
+    late, near = best.summary["slot_error_late"].value, unseparated(scenario)
+    whose = f"`{scenario.best}`"
+    if near:
+        whose += f", not separated (95 %, paired) from {listed(near)}"
     agreed = Counter(
         found for s in report.scenarios.values() if s.results and (found := agreed_best(s))
     )
     shares = ", ".join(f"`{policy}` on {count}" for policy, count in agreed.items())
     return (
-        f"**What is left.** The best score is lowest on `{name}`: {scored(best.score)} by `{scenario.best}`, "
+        f"**What is left.** The highest score is lowest on `{name}`: {scored(best.score)} by {whose}, "
         f"{late:.3f} m off in the second half.{_limits(ceiling, name)} Agreed to be the best: "
         f"{shares or 'none'}, of {_counted(report.scenarios)}."
     )
 
 
 def _limits(ceiling: Ceiling | None, name: str) -> str:
-    """The best programmed law without noise and gusts beside the best one as it is."""
+    """The highest score of a programmed law without noise and gusts beside that as it is."""
     if ceiling is None or ceiling.scenario != name:
         return ""
-    law, score = ceiling.best[PLAIN]
-    without = [
-        f"{x:.3f} with {words} (`{other}`)"
-        for words, (other, x) in ceiling.best.items()
-        if words != PLAIN
-    ]
+    without = [f"{x:.3f} with {words}" for words, x in ceiling.best.items() if words != PLAIN]
     if not without:
         return " Its measurements are exact and nothing pushes the vehicles."
     return (
-        f" On {ceiling.episodes} episodes the best law has {score:.3f} (`{law}`), and "
+        f" On {ceiling.episodes} episodes the highest score of a law is {ceiling.best[PLAIN]:.3f}, and "
         f"{', '.join(without)}."
     )

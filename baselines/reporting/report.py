@@ -37,15 +37,11 @@ from typing import Any
 
 import formation_env
 from baselines.reporting.cells import figure, interval, listed, markdown_table, scored, signed
+from baselines.reporting.rows import unseparated
 from baselines.scoring.intervals import LEVEL, RESAMPLES, Estimate
 from baselines.scoring.metrics import EPISODE, window_ticks
 from baselines.scoring.results import Report, Result, Scenario, Source, Sweep
 from formation_env import FormationConfig
-
-SCORE = (
-    "The score is the followers' mean reward over the last 25 s of an episode; what is missing of it, "
-    "crashed or not started, counts zero: 0 to 1, 1 is exact."
-)
 
 # -- JSON -----------------------------------------------------------------------------------------
 
@@ -90,7 +86,7 @@ def _scenario(scenario: Scenario) -> dict[str, Any]:
         "action": config.action,
         "followers": config.followers,
         "duration": config.duration,
-        "window": _digits(window_ticks(config) * config.control_period),
+        "window": _digits(window(config)),
         "policies": {name: _result(result) for name, result in scenario.results.items()},
         "files": {name: source._asdict() for name, source in scenario.sources.items()},
         "absent": scenario.absent,
@@ -118,8 +114,33 @@ def _digits(x: float) -> float | None:
 # -- Markdown -------------------------------------------------------------------------------------
 
 
-def grid(report: Report, cell: Callable[[Scenario, str], str]) -> str:
-    """A row for each policy, a column for each scenario; in italics what was trained for another task."""
+def score(report: Report) -> str:
+    """What the score is, with the window of the scenarios that were flown."""
+    named: dict[str, list[str]] = {}
+    for name, scenario in report.scenarios.items():
+        named.setdefault(f"{window(scenario.config):g} s", []).append(name)
+    usual = max(named, key=lambda length: len(named[length]))
+    others = "".join(
+        f", {length} on {listed(names)}" for length, names in named.items() if length != usual
+    )
+    return (
+        f"The score is the followers' mean reward over the last {usual} of a flight{others}; what is "
+        "missing of it, crashed or not started, counts zero: 0 to 1, 1 is exact."
+    )
+
+
+def window(config: FormationConfig) -> float:
+    """How much of a flight is scored, s."""
+    return window_ticks(config) * config.control_period
+
+
+def grid(
+    report: Report,
+    cell: Callable[[Scenario, str], str],
+    head: Callable[[str], str] = "`{}`".format,
+) -> str:
+    """A row for each policy, a column for each scenario with the `head` that is made of its name; in italics
+    what was trained for another task."""
 
     def text(scenario: Scenario, policy: str) -> str:
         if policy not in scenario.results:
@@ -131,12 +152,16 @@ def grid(report: Report, cell: Callable[[Scenario, str], str]) -> str:
         [f"`{policy}`", *(text(scenario, policy) for scenario in report.scenarios.values())]
         for policy in report.policies
     ]
-    return markdown_table(["policy", *(f"`{name}`" for name in report.scenarios)], rows)
+    return markdown_table(["policy", *map(head, report.scenarios)], rows)
 
 
 def markdown(report: Report) -> str:
     """Scores with intervals, files flown, what did not fly, and one part a scenario."""
-    parts = ["## Scores", SCORE, grid(report, lambda s, policy: scored(s.results[policy].score))]
+    parts = [
+        "## Scores",
+        score(report),
+        grid(report, lambda s, policy: scored(s.results[policy].score)),
+    ]
     parts += absences(report)
     files = files_table(report)
     if files:
@@ -196,16 +221,15 @@ def absences(report: Report) -> list[str]:
 
 def details(scenario: Scenario) -> list[str]:
     """One scenario: conditions, differences, all metrics and the training runs, a row for each policy."""
-    parts = [_conditions(scenario.config), _telling(scenario), _metrics(scenario)]
+    parts = [_conditions(scenario.config), _telling(scenario), *_highest(scenario)]
     runs = _training_runs(scenario)
-    return [*parts, runs] if runs else parts
+    return [*parts, _metrics(scenario), *([runs] if runs else [])]
 
 
 def _conditions(config: FormationConfig) -> str:
     number = "1 follower" if config.followers == 1 else f"{config.followers} followers"
-    window = window_ticks(config) * config.control_period
     return (
-        f"Action level `{config.action}`, {number}, {config.duration:g} s, of which {window:g} s are "
+        f"Action level `{config.action}`, {number}, {config.duration:g} s, of which {window(config):g} s are "
         "scored."
     )
 
@@ -233,6 +257,20 @@ def _telling(scenario: Scenario) -> str:
         for policy, r in scenario.results.items()
     ]
     return markdown_table(head, rows)
+
+
+def _highest(scenario: Scenario) -> list[str]:
+    """Whose score is the highest, and whose are not told apart from it."""
+    if len(scenario.results) < 2:
+        return []
+    near = unseparated(scenario)
+    rest = (
+        f"not separated from it are {listed(near)}" if near else "it is separated from all others"
+    )
+    return [
+        f"The highest score is that of `{scenario.best}`; by intervals ({100 * LEVEL:.0f} %) of the "
+        f"differences, seed by seed and run by run, {rest}."
+    ]
 
 
 def _metrics(scenario: Scenario) -> str:

@@ -47,10 +47,13 @@ def meanings(found: Robustness) -> str:
 
 def gaps(found: Robustness) -> list[str]:
     """Cells that are left out of every row, and why: changes and tasks that share a reason together."""
-    reasons: dict[str, list[str]] = {}
+    reasons: dict[str, dict[str, list[str]]] = {}
     for (task, change), reason in found.void.items():
-        reasons.setdefault(reason, []).append(f"*{change}* on `{task}`")
-    each = [f"{', '.join(cells)} ({reason})" for reason, cells in reasons.items()]
+        reasons.setdefault(reason, {}).setdefault(change, []).append(task)
+    each = [
+        f"{', '.join(f'*{change}* on {listed(tasks)}' for change, tasks in cells.items())} ({reason})"
+        for reason, cells in reasons.items()
+    ]
     return [f"Left out: {'; '.join(each)}."] if each else []
 
 

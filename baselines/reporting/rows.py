@@ -26,22 +26,34 @@ def searched(policy: str) -> bool:
 def agreed_best(scenario: Scenario) -> str | None:
     """The policy that every pair of runs agrees is the best, if there is one.
 
-    Each of its runs scores more, seed by seed, than each run of every other policy, with an interval above
-    zero; and it is neither a policy file nor a law with searched gains, or there are `SEEDS` runs of it: one
-    search, as one training, says nothing of another one.
+    It is separated from every other policy; and it is neither a policy file nor a law with searched gains, or
+    there are `SEEDS` runs of it: one search, as one training, says nothing of another one.
     """
     results = scenario.results
     best = scenario.best
     if (best in scenario.sources or searched(best)) and len(results[best].runs) < SEEDS:
         return None
+    return best if len(results) > 1 and not unseparated(scenario) else None
+
+
+def unseparated(scenario: Scenario) -> list[str]:
+    """The policies from which the one with the highest score is not separated, the highest first.
+
+    It is from those of whose runs each scores less, seed by seed, than each of its own runs, with an interval
+    of the difference above zero.
+    """
+    results, best = scenario.results, scenario.best
     own = stacked(list(results[best].runs.values()), "score")
-    others = [
-        each["score"] for name, r in results.items() if name != best for each in r.runs.values()
-    ]
-    pairs = {f"{i} {k}": a - b for i, a in enumerate(own) for k, b in enumerate(others)}
-    if not pairs:
-        return None
-    return best if all(e.low > 0.0 for e in estimates(pairs).values()) else None
+    pairs = {
+        (name, run, k): mine - columns["score"]
+        for name, r in results.items()
+        if name != best
+        for run, columns in r.runs.items()
+        for k, mine in enumerate(own)
+    }
+    found = estimates({str(i): x for i, x in enumerate(pairs.values())}) if pairs else {}
+    near = {name for (name, _, _), e in zip(pairs, found.values(), strict=True) if not e.low > 0.0}
+    return sorted(near, key=lambda name: -results[name].score.value)
 
 
 def hardest(report: Report) -> str | None:

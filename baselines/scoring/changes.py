@@ -20,6 +20,7 @@ from formation_env.physics.sensors import Noise
 LATER = 1  # samples
 NOISE = Noise(position=0.002, velocity=0.005, attitude=0.001, angular_velocity=0.01)
 WIDER, HEAVIER, LONGER = 1.2, 1.1, 2.0
+OFF, ABOVE = 0.5, 1.5  # m
 
 
 class Change(NamedTuple):
@@ -71,6 +72,15 @@ def _more(config: FormationConfig) -> FormationConfig:
     return configure(config, offsets=offsets, follower_starts=None, leader_start=None)
 
 
+def _farther(config: FormationConfig) -> FormationConfig:
+    """One follower alone, at the first one's place but above the leader, where a start has room that nobody
+    else and no floor is in, and where it inverts as little as before."""
+    if config.start == "ground":
+        raise ValueError("all start on the floor")
+    x, y, _ = config.offsets[0]
+    return configure(config, offsets=((x, y, ABOVE),), start_offset=OFF)
+
+
 def _longer(config: FormationConfig) -> FormationConfig:
     return configure(config, duration=LONGER * config.duration)
 
@@ -94,6 +104,12 @@ CHANGES = (
     Change(f"width x {WIDER:g}", f"the formation {WIDER:g} times as wide", _wider, True),
     Change("1 more", "one follower more, as the scenario places it", _more, True),
     Change(f"time x {LONGER:g}", f"an episode {LONGER:g} times as long", _longer, True),
+    Change(
+        f"{OFF:g} m off",
+        f"one follower alone, {ABOVE:g} m above the leader, that starts up to {OFF:g} m from its slot",
+        _farther,
+        True,
+    ),
 )
 
 

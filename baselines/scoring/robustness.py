@@ -20,7 +20,6 @@ from baselines.policies.transfer import transfer_unwarned
 from baselines.registry import Recipe
 from baselines.scoring.changes import CHANGES, Change, changed
 from baselines.scoring.evaluation import Flight, Flyable, fly_all
-from baselines.scoring.metrics import deadline
 from baselines.scoring.results import NO_LAWS, Report, Result
 from baselines.scoring.rollout import fly
 from formation_env import FormationConfig
@@ -84,7 +83,7 @@ def leader_starts(config: FormationConfig, seeds: range) -> bool:
         off = np.linalg.norm(simulation.leaders - first, axis=-1)
         arrived[live & (off <= config.trigger)] = True
 
-    fly(Hover(config), seeds, most=round(deadline(config) / config.control_period), watch=watch)
+    fly(Hover(config), seeds, most=config.deadline_steps, watch=watch)
     return bool(arrived.mean() >= 0.5)
 
 

@@ -96,9 +96,10 @@ def ground_rows(offsets: Sequence[Vector]) -> Floats:
 
 def check_ground_starts(points: Sequence[Vector], collision: float) -> None:
     """Start points (m, inertial) on the floor, further apart than `collision` (m)."""
-    name = "follower_starts and leader_start"
+    name = "leader_start and follower_starts"
     on_floor = all(p[2] == 0.0 for p in points)
-    require(on_floor, name, [p[2] for p in points], "p_z = 0, the floor")
+    heights = f"the heights p_z of {name}"
+    require(on_floor, heights, [p[2] for p in points], "p_z = 0, the floor, for each")
     gap = _least_distance(points)
     _require_apart(name, f"{gap:.3g} m apart", "vehicles that start", gap, collision)
 
