@@ -369,8 +369,15 @@ def test_the_readme_shows_the_best_and_the_paper() -> None:
     result = Report(
         0, 30, {"nominal": scenario(one), "agile": scenario(two), "nominal:rates": scenario(other)}
     )
+    learned = {"d": "nominal", "e": "nominal"}
+    some = result._replace(
+        scenarios={"nominal": scenario(one, learned), "agile": scenario(two, learned)}
+    )
+    assert names(board.extract(some)) == ["b", "a", "c", "d", "expert"], (
+        "the best learned one as well"
+    )
     text = board.extract(result)
-    assert names(text) == ["b", "a", "c", "d", "expert"]
+    assert names(text) == ["b", "a", "c", "expert"]
     assert text.splitlines()[0] == "| policy | `nominal` | `agile` |"
     assert "talics" not in text and "does not fly" not in text
     few = result._replace(scenarios={"nominal": scenario({"once": [near(0.9)], "a": [near(0.1)]}),

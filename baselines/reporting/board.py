@@ -30,7 +30,7 @@ FILES, STATISTICS, FIGURES = "files.md", "statistics.md", "figures.md"
 DEMANDS, ROBUSTNESS = "scenarios.md", "robustness.md"
 BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"
 LARGEST = 8000  # bytes of LEADERBOARD.md
-TOP = 4  # policies that the README shows, beside the paper's
+TOP = 3  # policies that the README shows, beside the best learned one and the paper's
 
 ANY, CLEAR = 0.0005, 0.005  # half the width of the intervals that are shown, at least
 WORST = 0.02  # by which the worst run's score is below the median's where it is shown
@@ -188,7 +188,8 @@ def _joined(parts: list[str]) -> str:
 
 
 def extract(result: Report) -> str:
-    """For the README: the scores of the best `TOP` policies and of the expert, scenarios as they are named.
+    """For the README: the scores of the best `TOP` policies, of the best learned one and of the expert, scenarios
+    as they are named.
 
     By the mean over these, in which what a policy does not fly counts zero; without scenarios at other action
     levels, where there are any at their own.
@@ -199,7 +200,8 @@ def extract(result: Report) -> str:
         return sum(s.results[policy].score.value for s in named.values() if policy in s.results)
 
     ranked = sorted(result.policies, key=total, reverse=True)
-    kept = [p for k, p in enumerate(ranked) if k < TOP or p == PAPER]
+    learned = [p for p in ranked if any(p in s.sources for s in named.values())]
+    kept = [p for k, p in enumerate(ranked) if k < TOP or p in (PAPER, *learned[:1])]
     shown = {
         name: s._replace(results={p: s.results[p] for p in kept if p in s.results})
         for name, s in named.items()
