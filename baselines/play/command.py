@@ -15,7 +15,7 @@ from baselines.files import SUFFIX
 from baselines.play import ports
 from baselines.registry import METHODS, POLICIES
 from baselines.scoring import tasks
-from baselines.scoring.options import read_policies
+from baselines.scoring.options import read_policies, read_scenario
 from baselines.system import console
 from baselines.system.arguments import Parser, reader, whole
 from baselines.system.progress import compiling
@@ -33,11 +33,6 @@ EXAMPLES = """\
 """
 
 
-def _scenario(text: str) -> str:
-    tasks.check_scenario(text)
-    return text
-
-
 def parser() -> Parser:
     """The options of the command, none of them read yet."""
     own = Parser(
@@ -51,7 +46,7 @@ def parser() -> Parser:
         help="Policies to fly, one or two, separated by commas; of more the others can be chosen on the "
         f"page. Names: {', '.join(POLICIES)}; learned ones that are shipped, {', '.join(METHODS)}; paths of "
         f"*{SUFFIX} files; your own code as module:Name or file.py:Name. (default: expert)")  # fmt: skip
-    add("--scenario", type=reader(_scenario), default="nominal", metavar="NAME",
+    add("--scenario", type=reader(read_scenario), default="nominal", metavar="NAME",
         help=f"Scenario to begin with: {', '.join(SCENARIOS)}; NAME:LEVEL flies it at another action level. "
         "(default: %(default)s)")  # fmt: skip
     add("--action", choices=tuple(LEVEL_NAMES), metavar="LEVEL",

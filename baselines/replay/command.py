@@ -14,7 +14,7 @@ from baselines.replay import archive, table
 from baselines.replay.episode import Episode
 from baselines.replay.flights import Replay, fly_all
 from baselines.scoring import tasks
-from baselines.scoring.options import read_policies
+from baselines.scoring.options import read_policies, read_scenario
 from baselines.system import console
 from baselines.system.arguments import Parser, reader, seconds, whole
 from baselines.system.text import wrapped
@@ -30,11 +30,6 @@ EXAMPLES = """\
 """
 
 
-def _scenario(text: str) -> str:
-    tasks.check_scenario(text)
-    return text
-
-
 def parser() -> Parser:
     """The options of the command, none of them read yet."""
     own = Parser(
@@ -48,7 +43,7 @@ def parser() -> Parser:
         help=f"Policies to fly, separated by commas: {', '.join(POLICIES)}; learned ones that are shipped, "
         f"{', '.join(METHODS)}; paths of *{SUFFIX} files; your own code as module:Name or file.py:Name. "
         "(default: expert; with --record none)")  # fmt: skip
-    add("--scenario", type=reader(_scenario), default="nominal", metavar="NAME",
+    add("--scenario", type=reader(read_scenario), default="nominal", metavar="NAME",
         help=f"Scenario to fly: {', '.join(SCENARIOS)}; NAME:LEVEL flies it at another action level. "
         "(default: %(default)s)")  # fmt: skip
     add("--action", choices=tuple(LEVEL_NAMES), metavar="LEVEL",

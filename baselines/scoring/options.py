@@ -16,11 +16,15 @@ from formation_env.laws.levels import NAMES as LEVEL_NAMES
 from formation_env.validation.checks import shown
 
 
+def read_scenario(text: str) -> str:
+    """A scenario's name, perhaps with an action level after a colon."""
+    tasks.check_scenario(text)
+    return text
+
+
 def _scenarios(text: str) -> list[str]:
     names = [name for name in text.replace(",", " ").split() if name]
-    for name in names or [text]:
-        tasks.check_scenario(name)
-    return list(dict.fromkeys(names))
+    return list(dict.fromkeys(map(read_scenario, names or [text])))
 
 
 def read_policies(text: str) -> list[str]:

@@ -5,7 +5,7 @@ import { Link } from "./link.js";
 import { LiveFlight } from "./live.js";
 import { Panel, letter, sample } from "./panel.js";
 import { Pushing } from "./pushing.js";
-import { makeStage } from "./scene.js";
+import { stageOrNotice } from "./scene.js";
 import { Settings, make } from "./settings.js";
 import { Theme } from "./theme.js";
 
@@ -155,14 +155,7 @@ class Play {
   }
 
   makeStage() {
-    try {
-      this.stage = makeStage(find("canvas"), () => this.refresh());
-    } catch {
-      this.stage = null;
-      find("no-webgl").hidden = false;
-      find("compass").hidden = true;
-      find("stage").classList.add("flat");
-    }
+    this.stage = stageOrNotice(() => this.refresh());
   }
 
   makeViews() {

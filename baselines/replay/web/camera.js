@@ -105,3 +105,23 @@ export class Orbit {
     return distance;
   }
 }
+
+// What keys do that a replay and the live page share: turning, zooming, following, the theme, help.
+export function sharedKeys(orbit, setFollow, theme, help) {
+  return {
+    "+": () => orbit?.magnify(1.2),
+    "=": () => orbit?.magnify(1.2),
+    "-": () => orbit?.magnify(1 / 1.2),
+    a: () => orbit?.turn(-0.12, 0),
+    d: () => orbit?.turn(0.12, 0),
+    w: () => orbit?.turn(0, 0.08),
+    s: () => orbit?.turn(0, -0.08),
+    r: () => orbit?.reset(),
+    f: () => setFollow("formation"),
+    p: () => setFollow("path"),
+    l: () => setFollow("0"),
+    t: () => theme.toggle(),
+    h: help,
+    "?": help,
+  };
+}

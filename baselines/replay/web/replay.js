@@ -1,9 +1,10 @@
 // The page of a replay: flights side by side, the bar that plays them, keys.
 import { ofPolicy, palette, vehicleName } from "./colours.js";
+import { sharedKeys } from "./camera.js";
 import { Clock, SPEEDS } from "./clock.js";
 import { Flight, inflated, unpacked } from "./data.js";
 import { Panel, letter, sample } from "./panel.js";
-import { makeStage } from "./scene.js";
+import { stageOrNotice } from "./scene.js";
 import { Theme } from "./theme.js";
 
 const find = (id) => document.getElementById(id);
@@ -106,14 +107,7 @@ class Replay {
       find("stage").append(cell);
       return cell;
     });
-    try {
-      this.stage = makeStage(find("canvas"), () => this.refresh());
-    } catch {
-      this.stage = null;
-      find("no-webgl").hidden = false;
-      find("compass").hidden = true;
-      find("stage").classList.add("flat");
-    }
+    this.stage = stageOrNotice(() => this.refresh());
     this.views = this.flights.map((flight, number) => {
       if (!this.stage) return null;
       const view = this.stage.addView(this.cells[number], flight.followers);
@@ -209,7 +203,6 @@ class Replay {
 
   keys({ key, shiftKey }) {
     const by = shiftKey ? 1 : 0.1;
-    const orbit = this.stage?.orbit;
     const found = {
       " ": () => this.clock.toggle(),
       ArrowLeft: () => this.seek(this.clock.time - by),
@@ -220,20 +213,12 @@ class Replay {
       End: () => this.seek(this.last),
       ArrowUp: () => this.changeSpeed(1),
       ArrowDown: () => this.changeSpeed(-1),
-      "+": () => orbit?.magnify(1.2),
-      "=": () => orbit?.magnify(1.2),
-      "-": () => orbit?.magnify(1 / 1.2),
-      a: () => orbit?.turn(-0.12, 0),
-      d: () => orbit?.turn(0.12, 0),
-      w: () => orbit?.turn(0, 0.08),
-      s: () => orbit?.turn(0, -0.08),
-      r: () => orbit?.reset(),
-      f: () => this.setFollow("formation"),
-      p: () => this.setFollow("path"),
-      l: () => this.setFollow("0"),
-      t: () => this.theme.toggle(),
-      h: () => this.showHelp(),
-      "?": () => this.showHelp(),
+      ...sharedKeys(
+        this.stage?.orbit,
+        (what) => this.setFollow(what),
+        this.theme,
+        () => this.showHelp(),
+      ),
     }[key.length === 1 ? key.toLowerCase() : key];
     if (found || !/^[1-9]$/.test(key)) return found;
     return find("follow").querySelector(`[value="${key}"]`) ? () => this.setFollow(key) : null;

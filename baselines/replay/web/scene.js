@@ -1,6 +1,6 @@
 // The 3-D scene: a stage draws one or more views into one canvas, all seen from the same side.
 //
-//   const stage = makeStage(canvas);                  // throws where there is no WebGL
+//   const stage = stageOrNotice(changed);             // null where there is no WebGL
 //   const view = stage.addView(element, followers);   // `element` lies over the canvas and is its place;
 //                                                     // a part of it with `data-inset` keeps its room
 //   view.setPath(points);                             // the leader's path, north east down north east ...
@@ -19,8 +19,17 @@ const TRAIL = 160; // points
 const LABELLED = 40; // vehicles, at most
 const SMALLEST = 0.005; // of the distance, an arm that is drawn larger than it is
 
-export function makeStage(canvas, changed = () => {}) {
-  return new Stage(canvas, changed);
+// The stage of a page, or null and a notice where there is no WebGL.
+export function stageOrNotice(changed) {
+  const find = (id) => document.getElementById(id);
+  try {
+    return new Stage(find("canvas"), changed);
+  } catch {
+    find("no-webgl").hidden = false;
+    find("compass").hidden = true;
+    find("stage").classList.add("flat");
+    return null;
+  }
 }
 
 class Stage {
