@@ -188,7 +188,7 @@ def _joined(parts: list[str]) -> str:
 
 
 def extract(result: Report) -> str:
-    """For the README: the scores of the best `TOP` policies, of the best learned one and of the expert, on the
+    """For the README: the scores of the best `TOP` policies, the best learned one and the expert, on the
     scenarios as they are named.
 
     By the mean over these, in which what a policy does not fly counts zero; without scenarios at other action
