@@ -118,8 +118,8 @@ def test_files_of_several_episodes_have_their_policies_names(tmp_path: Path) -> 
         (["--set", "gust=-1"], "gust = -1"),
         (["--set", "followers=0"], "followers = 0"),
         (
-            ["--policies", "ppo", "--scenario", "nominal:wrench"],
-            "no file for action level 'wrench'",
+            ["--policies", "ppo", "--scenario", "nominal:reference"],
+            "no file for action level 'reference'",
         ),
         (["--record", "nothing.npz"], "nothing.npz: cannot be read: No such file or directory"),
     ],

@@ -204,5 +204,5 @@ def test_the_table_holds_the_same_numbers(
 
 
 def test_the_columns_are_documented() -> None:
-    text = (ROOT / "docs" / "examples.md").read_text(encoding="utf-8")
-    assert table.described() in text, f"docs/examples.md should hold:\n{table.described()}"
+    text = (ROOT / "docs" / "seeing.md").read_text(encoding="utf-8")
+    assert table.described() in text, f"docs/seeing.md should hold:\n{table.described()}"
