@@ -11,17 +11,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import browsers
 import pytest
+from browsers import DESKTOP, PATIENCE, PHONE, Opened, changed
 
-playwright = pytest.importorskip(
-    "playwright.sync_api", reason="needs Playwright, of the extra `dev`", exc_type=ImportError
-)
 pytest.importorskip("aiohttp", reason="needs aiohttp, of the extra `web`")
-browser = pytest.importorskip("test_replay_browser", reason="needs Pillow, of Matplotlib")
 
 ROOT = Path(__file__).resolve().parent.parent
-DESKTOP, PHONE, PATIENCE = browser.DESKTOP, browser.PHONE, browser.PATIENCE
-pytestmark = browser.pytestmark
+pytestmark = browsers.NEEDED
 
 
 class Server:
@@ -51,18 +48,8 @@ class Server:
 
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[dict[bool, Any]]:
-    """Chromium with WebGL, and without, where a page costs little to draw."""
-    flags = {True: browser.SOFTWARE_GL, False: ["--disable-3d-apis"]}
-    with playwright.sync_playwright() as engine:
-        found = {
-            webgl: engine.chromium.launch(
-                executable_path=browser.CHROMIUM, args=[*browser.BASIC, *own], timeout=PATIENCE
-            )
-            for webgl, own in flags.items()
-        }
+    with browsers.launched() as found:
         yield found
-        for each in found.values():
-            each.close()
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +70,7 @@ def opened(chromium: dict[bool, Any]) -> Iterator[Any]:
         context = chromium[webgl].new_context(**{"viewport": DESKTOP, **options})
         context.set_default_timeout(PATIENCE)
         contexts.append(context)
-        found = browser.Opened(context.new_page())
+        found = Opened(context.new_page())
         found.page.goto(server.address)
         found.page.wait_for_selector("html[data-ready=true]", state="attached")
         found.wait_until("play.panel !== null && play.flights[0].instants > 0")
@@ -136,7 +123,7 @@ def test_the_page_opens_and_the_scene_changes(server: Server, opened: Any) -> No
     page = opened(server)
     before, picture = time_of(page), page.picture("#stage")
     page.wait_until(f"play.flights[0].last > {before + 0.5}")
-    assert browser.changed(picture, page.picture("#stage")) > 0.02
+    assert changed(picture, page.picture("#stage")) > 0.02
     assert page.page.locator("#about").inner_text().startswith("nominal · actions: wrench")
     assert page.page.locator(".plot:visible").count() == 5
     assert page.page.locator(".plot-values").first.inner_text() != ""
