@@ -65,3 +65,4 @@ html_static_path = ["_static"]
 html_css_files = ["manual.css"]
 html_show_copyright = False
 html_copy_source = False
+html_show_search_summary = False  # a browser fetches no page that was opened from the disk

@@ -36,13 +36,12 @@ SCORES = {
 @pytest.fixture(scope="module")
 def flown() -> Report:
     """With errors against time: policies that keep the formation, and one that never starts."""
-    config = configure(**FLIGHT)
-    return command.scoring.evaluate({"mine": config}, ["ff", "hover"], 3, curves=True)
+    mine = {"mine": configure(**FLIGHT)}
+    return command.scoring.evaluate(mine, ["ff", "hover"], 3, curves=True)
 
 
 def made() -> Report:
-    trained = {"ppo": "paper", "dagger": "nominal"}
-    return Report(0, 4, {"nominal": scenario(SCORES, trained)})
+    return Report(0, 4, {"nominal": scenario(SCORES, {"ppo": "paper", "dagger": "nominal"})})
 
 
 def texts(figure: Any) -> list[str]:
@@ -296,6 +295,7 @@ def test_the_table_of_a_sweep_fits_the_terminal(columns: int) -> None:
         ("gust=0:2:1", "COUNT from 2 to 1000"),
         ("gust=0:2:2.5", "a whole number COUNT"),
         ("gust=low:2:3", "expected numbers LOW:HIGH"),
+        ("gust=0:2", "expected FIELD=LOW:HIGH:COUNT"),
         ("gust=1:1:3", "LOW and HIGH that differ"),
         ("gust=0:nan:3", "finite LOW and HIGH"),
     ],

@@ -117,6 +117,11 @@ def test_files_of_several_episodes_have_their_policies_names(tmp_path: Path) -> 
         (["--action", "wish"], "argument --action: invalid choice: 'wish'"),
         (["--set", "gust=-1"], "gust = -1"),
         (["--set", "followers=0"], "followers = 0"),
+        (["--save", "replay.html"], "--output and --save: expected files of different names"),
+        (
+            ["--save", "a.x", "--csv", "./a.x"],
+            "--save and --csv: expected files of different names",
+        ),
         (
             ["--policies", "ppo", "--scenario", "nominal:reference"],
             "no file for action level 'reference'",

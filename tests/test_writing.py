@@ -212,3 +212,12 @@ def test_size_is_bounded(tmp_path: Path) -> None:
         reading.read_bytes(path, 4)
     with pytest.raises(OSError):  # noqa: PT011 (its kind differs between systems)
         reading.read_bytes(tmp_path)
+
+
+@pytest.mark.parametrize("path", ["missing/a.html", "folder"])
+def test_what_cannot_be_written_is_named_as_it_was_given(path: str, tmp_path: Path) -> None:
+    """Not by the name that a file has while it is written."""
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(OSError) as caught:
+        write_bytes(tmp_path / path, b"x")
+    assert caught.value.filename == str(tmp_path / path) and caught.value.filename2 is None

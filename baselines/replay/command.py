@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import traceback
 from collections.abc import Sequence
+from itertools import combinations
 from pathlib import Path
 
 from baselines.files import SUFFIX
@@ -76,6 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     own = parser()
     given = own.parse_args(arguments)
     try:
+        _check_files(given)
         episodes = _episodes(given)
     except ValueError as problem:
         own.error(str(problem))
@@ -99,6 +101,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
     console.say(wrapped(f"written: {', '.join(map(str, written))}"))
     return 0
+
+
+def _check_files(given: argparse.Namespace) -> None:
+    """Raises `ValueError` where one file would be written over another."""
+    named = {"--output": given.output, "--save": given.save, "--csv": given.csv}
+    for (one, path), (other, again) in combinations(named.items(), 2):
+        if path is not None and again is not None and path.resolve() == again.resolve():
+            raise ValueError(
+                f"{one} and {other}: expected files of different names, both are {path}"
+            )
 
 
 def _episodes(given: argparse.Namespace) -> list[Episode]:

@@ -20,9 +20,11 @@ from baselines.scoring.metrics import CAP, deadline, flight_ticks, window_ticks
 from baselines.scoring.results import ELSEWHERE, Report, Result, Scenario, Sweep
 from baselines.system import pictures
 from baselines.system.pictures import COLOURS, DARK, GREY, MARKS, SHADE, labelled
+from baselines.system.text import shortened
 from baselines.system.writing import write_bytes
 from formation_env import FormationConfig
 
+_NAME = 18  # characters of a name above a panel
 SCORES, ERRORS = "scores", "errors"  # what the names of files end in
 _WIDTH = 8.0  # inches
 _LONGEST = 100  # characters of a scenario in a file's name
@@ -210,7 +212,7 @@ def draw_errors(name: str, scenario: Scenario, episodes: int) -> Any:
 
 def _titled(scenario: Scenario, policy: str) -> str:
     mark = ELSEWHERE if scenario.untrained(policy) else ""
-    return f"{policy}{mark}, score {scenario.results[policy].score.value:.3f}"
+    return f"{shortened(policy, _NAME)}{mark}, score {scenario.results[policy].score.value:.3f}"
 
 
 def _errors(ax: Any, own: Curve, best: Curve | None) -> None:
@@ -255,7 +257,7 @@ def _finish_errors(
         ax.tick_params(labelbottom=k + columns >= panels)
         if k % columns == 0:
             ax.set_ylabel(labelled("slot error", "m"))
-        if k + columns >= len(axes):
+        if k + columns >= panels:
             ax.set_xlabel(labelled("time", "s"))
 
 

@@ -52,6 +52,8 @@ def read_sweep(text: str) -> Setting:
     usage = "FIELD=LOW:HIGH:COUNT or FIELD=VALUE,VALUE,..."
     name, value = _halves(text, usage)
     parts = value.split(":")
+    if len(parts) == 2:
+        raise ValueError(f"{text!r}: expected {usage}")
     if len(parts) == 3:
         values = _evenly(text, *parts)
         return Setting(name, values, tuple(f"{x:.12g}" for x in values), value)

@@ -82,7 +82,7 @@ def _block(
     for k in range(depth):
         words = [[""] * (depth - len(heading)) + heading for heading in headings.values()]
         lines.append((corner if k == depth - 1 else "", [w[k] for w in words]))
-    lines += [(_shortened(row, first), [cells[row, name] for name in names]) for row in rows]
+    lines += [(shortened(row, first), [cells[row, name] for name in names]) for row in rows]
     return "\n".join(
         (
             label.ljust(first)
@@ -97,6 +97,6 @@ def _heading(name: str) -> list[str]:
     return [part for part in re.split(r" |(?=:)", name) if part]
 
 
-def _shortened(name: str, most: int) -> str:
+def shortened(name: str, most: int) -> str:
     """The end of a name that is too long: the end of a path says most."""
     return name if len(name) <= most else f"...{name[3 - most :]}"

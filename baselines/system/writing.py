@@ -39,9 +39,9 @@ def write_bytes(path: Path, data: bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
             if not _WINDOWS:  # still locked, so no other run removes it first
-                os.replace(part, path)
+                _replace(part, path)
         if _WINDOWS:
-            os.replace(part, path)
+            _replace(part, path)
     except BaseException:
         part.unlink(missing_ok=True)
         raise
@@ -52,11 +52,21 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode("utf-8"))
 
 
+def _replace(part: Path, path: Path) -> None:
+    try:
+        os.replace(part, path)
+    except OSError as problem:  # which names `part`
+        raise OSError(problem.errno, problem.strerror, str(path)) from None
+
+
 def _open_part(path: Path) -> tuple[int, Path]:
     """A new file beside `path`, open and locked, so that no other process takes it for a dead one's."""
     while True:
         part = path.parent / f".{path.name}.{secrets.token_hex(8)}.part"
-        handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, 0o666)
+        try:
+            handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, 0o666)
+        except OSError as problem:
+            raise OSError(problem.errno, problem.strerror, str(path)) from None
         _lock(handle)
         if os.fstat(handle).st_nlink > 0:  # not removed between the two calls
             return handle, part
