@@ -218,6 +218,6 @@ def test_size_is_bounded(tmp_path: Path) -> None:
 def test_what_cannot_be_written_is_named_as_it_was_given(path: str, tmp_path: Path) -> None:
     """Not by the name that a file has while it is written."""
     (tmp_path / "folder").mkdir()
-    with pytest.raises(OSError) as caught:
+    with pytest.raises(OSError, match="Errno") as caught:
         write_bytes(tmp_path / path, b"x")
     assert caught.value.filename == str(tmp_path / path) and caught.value.filename2 is None
