@@ -53,7 +53,7 @@ EFFECTS = (
     Shot("floor", "take-off from the floor, before the trigger (40)",
          {"scenario": "paper", "followers": 6}, 1.2),
 )  # fmt: skip
-# Wide enough a figure eight for this wedge: nobody has to fly backwards.
+# Wide enough a figure eight for this wedge: no virtual follower flies backwards.
 LARGE = Shot(
     "formation", "", {"scenario": "swarm", "followers": 5, "duration": 30.0}, 28.8, "expert"
 )

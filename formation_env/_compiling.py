@@ -161,7 +161,7 @@ class _Compiling(event.Listener):  # type: ignore[misc]
                 self._write(f"formation_env: {self.status()}\n")
 
     def _write(self, text: str) -> None:
-        """One call, so that lines of other processes are not mixed in; no error where nobody reads."""
+        """One call, so that lines of other processes are not mixed in; no error where the pipe is closed."""
         if text and sys.stderr is not None:
             with suppress(OSError, ValueError):
                 sys.stderr.write(text)

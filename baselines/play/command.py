@@ -15,13 +15,11 @@ from baselines.files import SUFFIX
 from baselines.play import ports
 from baselines.registry import METHODS, POLICIES
 from baselines.scoring import tasks
-from baselines.scoring.options import read_policies, read_scenario
+from baselines.scoring.options import add_task, read_policies
 from baselines.system import console
 from baselines.system.arguments import Parser, reader, whole
 from baselines.system.progress import compiling
 from baselines.system.text import wrapped
-from formation_env import SCENARIOS
-from formation_env.laws.levels import NAMES as LEVEL_NAMES
 
 MISSING = 'the live page needs aiohttp: pip install "formation-env[web]"'
 
@@ -46,15 +44,7 @@ def parser() -> Parser:
         help="Policies to fly, one or two, separated by commas; of more the others can be chosen on the "
         f"page. Names: {', '.join(POLICIES)}; learned ones that are shipped, {', '.join(METHODS)}; paths of "
         f"*{SUFFIX} files; your own code as module:Name or file.py:Name. (default: expert)")  # fmt: skip
-    add("--scenario", type=reader(read_scenario), default="nominal", metavar="NAME",
-        help=f"Scenario to begin with: {', '.join(SCENARIOS)}; NAME:LEVEL flies it at another action level. "
-        "(default: %(default)s)")  # fmt: skip
-    add("--action", choices=tuple(LEVEL_NAMES), metavar="LEVEL",
-        help=f"Action level of a scenario that is named without one: {', '.join(LEVEL_NAMES)}. "
-        "(default: the scenario's own)")  # fmt: skip
-    add("--set", type=reader(tasks.read_setting), action="append", default=[], metavar="FIELD=VALUE",
-        dest="settings", help="Set a field of the scenario, in SI units, or the number of followers; the "
-        "value is JSON or a name; may be repeated. (default: the scenario's own values)")  # fmt: skip
+    add_task(own)
     add("--seed", type=whole(0, 2**32), default=0, metavar="N",
         help="Seed of the first episode. (default: %(default)s)")  # fmt: skip
     add("--port", type=whole(0, 65535), metavar="N",
@@ -98,9 +88,9 @@ def _session(own: Parser, given: argparse.Namespace) -> Any:
     from baselines.play.session import Session
     from baselines.play.settings import from_fields
 
-    scenario, _, level = given.scenario.partition(":")
-    level = level or given.action
-    changes = {"action": level} if level else {}
+    changes = {"action": given.action} if given.action else {}
+    changes |= tasks.scenario_fields(given.scenario)
+    scenario = changes.pop("scenario")
     changes |= {setting.field: setting.values[0] for setting in given.settings}
     try:
         with compiling():

@@ -69,7 +69,7 @@ def controls(
     count = max((getattr(one, FOLLOWERS, 1) for one in examples), default=1)
     more = (
         Control(FOLLOWERS, "", "integer", text="how many", low=1.0, high=2.0 * count, step=1.0),
-        Control(FORMATION, "", "maker", text="its shape", makers=_formations()),
+        Control(FORMATION, "", "maker", text="its shape", makers=_makers(SHAPES, skip=("n",))),
     )
     found = [*more, *_of(kind, "", examples)]
     parts = list(dict.fromkeys(one.group for one in found))
@@ -141,7 +141,7 @@ def _control(
 ) -> Control:
     own = Control(name, group, _kind(hint), "" if unit == "1" else unit, text, optional)
     if hint is Trajectory:
-        return own._replace(kind="maker", makers=_paths())
+        return own._replace(kind="maker", makers=_makers(FACTORIES))
     if name in CHOICES:
         return own._replace(kind="choice", choices=tuple(CHOICES[name]))
     if own.kind not in ("number", "integer"):
@@ -200,20 +200,14 @@ def _first(what: Any) -> str:
 # -- functions that make a path or a formation ------------------------------------------------------
 
 
-def _formations() -> tuple[dict[str, Any], ...]:
-    """The functions of `formations` that make one of so many followers."""
-    made = {
-        name: maker
-        for name, maker in vars(formations).items()
-        if inspect.isfunction(maker)
-        and not name.startswith("_")
-        and next(iter(inspect.signature(maker).parameters), "") == "n"
-    }
-    return _makers(made, skip=("n",))
-
-
-def _paths() -> tuple[dict[str, Any], ...]:
-    return _makers(FACTORIES)
+# The functions of `formations` that make one of so many followers, by name.
+SHAPES = {
+    name: maker
+    for name, maker in vars(formations).items()
+    if inspect.isfunction(maker)
+    and not name.startswith("_")
+    and next(iter(inspect.signature(maker).parameters), "") == "n"
+}
 
 
 def _makers(

@@ -12,14 +12,13 @@ from baselines.play.carrying import carry, carry_memory, pushed
 from baselines.policies.expert import Expert
 from baselines.registry import recipe
 from baselines.replay.episode import ending
-from baselines.replay.lyapunov import NAMES, is_recorded, values, with_record
+from baselines.replay.lyapunov import NAMES, is_recorded, logarithms, values, with_record
 from baselines.replay.page import card
 from formation_env import FormationConfig
 from formation_env.core.simulation import Simulation, seeded_key
 from formation_env.interface.faces import path_times
 from formation_env.task import COLUMNS
 
-_LEAST = 1e-9  # of a Lyapunov function, whose logarithm is sent
 _DIGITS = 4  # behind the point: a tenth of a millimetre
 _PATH_DIGITS = 3
 
@@ -116,7 +115,7 @@ class Flight:
         actions = observed["previous_action"][:, : self.config.action_size]
         laws = None
         if isinstance(self._policy, Expert) and is_recorded(self._policy):
-            laws = _listed(np.log10(np.maximum(values(self._policy), _LEAST)))
+            laws = _listed(logarithms(values(self._policy)))
         return {
             "time": round(self.time, 6),
             "started": int(s.started[0]),

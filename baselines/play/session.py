@@ -1,8 +1,8 @@
 """What is played: flights side by side, flown in real time by a thread, and what is done to them.
 
 A `Session` has one or two policies on one configuration from one seed. `do(command)` changes something,
-whoever asks, and returns an answer or says what is wrong, in which case all is as it was. The thread flies
-and makes a frame some thirty times a second; the last ones are kept, for whoever shows them.
+from any thread, and returns an answer or says what is wrong, in which case all is as it was. The thread flies
+and makes a frame some thirty times a second; the last ones are kept, for pages that open or are slow.
 """
 
 from __future__ import annotations

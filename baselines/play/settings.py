@@ -12,7 +12,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from baselines.play.controls import FOLLOWERS, FORMATION, OFFSETS, TRAJECTORY
+from baselines.play.controls import FOLLOWERS, FORMATION, OFFSETS, SHAPES, TRAJECTORY
 from baselines.scoring.tasks import changed
 from formation_env import SCENARIOS, FormationConfig, formations
 from formation_env.config import quietly
@@ -80,14 +80,9 @@ def _path(path: Mapping[str, Any]) -> dict[str, Any]:
 def _shape(shape: Any) -> tuple[str, dict[str, Any]]:
     """Name and arguments of the function of a formation. Raises `ValueError`."""
     require(isinstance(shape, Mapping) and MAKER in shape, FORMATION, shape, "a shape by its name")
-    known = [
-        name
-        for name, made in vars(formations).items()
-        if inspect.isfunction(made) and next(iter(inspect.signature(made).parameters), "") == "n"
-    ]
-    name = choice(FORMATION, shape[MAKER], (k for k in known if not k.startswith("_")))
+    name = choice(FORMATION, shape[MAKER], SHAPES)
     given = {str(k): x for k, x in shape.items() if k != MAKER}
-    arguments = inspect.signature(getattr(formations, name)).parameters
+    arguments = inspect.signature(SHAPES[name]).parameters
     for key in given:
         require(key in arguments and key != "n", f"{FORMATION}.{key}", given[key], "an argument")
     return name, given
@@ -96,7 +91,7 @@ def _shape(shape: Any) -> tuple[str, dict[str, Any]]:
 def _offsets(shape: Any, count: int) -> list[list[float]]:
     name, given = _shape(shape)
     try:
-        offsets: list[list[float]] = getattr(formations, name)(count, **given).tolist()
+        offsets: list[list[float]] = SHAPES[name](count, **given).tolist()
     except TypeError as problem:
         raise ValueError(f"{FORMATION}: {problem}") from None
     except ValueError as problem:

@@ -15,12 +15,10 @@ from baselines.replay import archive, table
 from baselines.replay.episode import Episode
 from baselines.replay.flights import Replay, fly_all
 from baselines.scoring import tasks
-from baselines.scoring.options import read_policies, read_scenario
+from baselines.scoring.options import add_task, read_policies
 from baselines.system import console
 from baselines.system.arguments import Parser, reader, seconds, whole
 from baselines.system.text import wrapped
-from formation_env import SCENARIOS
-from formation_env.laws.levels import NAMES as LEVEL_NAMES
 
 EXAMPLES = """\
   formation-replay --policies expert,dagger --scenario swarm --seed 3
@@ -44,15 +42,7 @@ def parser() -> Parser:
         help=f"Policies to fly, separated by commas: {', '.join(POLICIES)}; learned ones that are shipped, "
         f"{', '.join(METHODS)}; paths of *{SUFFIX} files; your own code as module:Name or file.py:Name. "
         "(default: expert; with --record none)")  # fmt: skip
-    add("--scenario", type=reader(read_scenario), default="nominal", metavar="NAME",
-        help=f"Scenario to fly: {', '.join(SCENARIOS)}; NAME:LEVEL flies it at another action level. "
-        "(default: %(default)s)")  # fmt: skip
-    add("--action", choices=tuple(LEVEL_NAMES), metavar="LEVEL",
-        help=f"Action level of a scenario that is named without one: {', '.join(LEVEL_NAMES)}. "
-        "(default: the scenario's own)")  # fmt: skip
-    add("--set", type=reader(tasks.read_setting), action="append", default=[], metavar="FIELD=VALUE",
-        dest="settings", help="Set a field of the scenario, in SI units, or the number of followers; the "
-        "value is JSON or a name; may be repeated. (default: the scenario's own values)")  # fmt: skip
+    add_task(own)
     add("--duration", type=seconds, metavar="S",
         help="Length of the episode in seconds. (default: the scenario's own)")  # fmt: skip
     add("--seed", type=whole(0, 2**32), default=0, metavar="N",

@@ -17,6 +17,7 @@ from formation_env.paths.references import TrajectoryPoint
 from formation_env.physics.quadrotor import MOMENT
 
 NAMES = ("V1", "V2", "V3", "V4")
+_LEAST = 1e-9  # of a function whose logarithm is drawn
 
 
 def with_record(policy: Policy) -> Policy:
@@ -50,6 +51,12 @@ def values(expert: Expert) -> Floats:
     return np.stack(
         [V1, V1 + 0.5 * _squared(e["planner_e2"]), V3, V3 + 0.5 * _squared(e["tracker_e4"])], -1
     )
+
+
+def logarithms(functions: Floats) -> Floats:
+    """Base 10, of at least `_LEAST`: what the pages draw."""
+    found: Floats = np.log10(np.maximum(functions, _LEAST))
+    return found
 
 
 def _squared(e: Floats) -> Floats:

@@ -17,7 +17,7 @@ import numpy as np
 
 from baselines.replay.episode import Episode
 from baselines.replay.linking import linked, text_of
-from baselines.replay.lyapunov import NAMES
+from baselines.replay.lyapunov import NAMES, logarithms
 from baselines.replay.packing import deflated, pack
 from formation_env import FormationConfig
 from formation_env.validation.checks import require
@@ -32,7 +32,6 @@ _STEPS = {
     "actions": 2e-3,
     "lyapunov": 2e-3,
 }
-_LEAST = 1e-9  # of a Lyapunov function, whose logarithm is shown
 
 
 def render(episodes: Sequence[Episode], title: str = "Formation replay") -> str:
@@ -75,7 +74,7 @@ def _tracks(episode: Episode, chosen: Any) -> list[tuple[str, Any]]:
         ("actions", episode.actions[ticks]),
     ]
     if len(episode.lyapunov):
-        tracks.append(("lyapunov", np.log10(np.maximum(episode.lyapunov[ticks], _LEAST))))
+        tracks.append(("lyapunov", logarithms(episode.lyapunov[ticks])))
     path = episode.path[:: -(-len(episode.path) // _INSTANTS)]
     return [*tracks, ("path", path)]
 

@@ -25,7 +25,7 @@ from baselines.policies.expert import Expert
 from baselines.registry import Recipe
 from baselines.replay.episode import Episode, Floats
 from baselines.replay.lyapunov import NAMES, is_recorded, values, with_record
-from baselines.scoring.metrics import add_tick, begin, episodes, flight_ticks, window_ticks
+from baselines.scoring.metrics import add_tick, begin, episodes, skipped_ticks, window_ticks
 from formation_env import FormationConfig
 from formation_env.core.simulation import Simulation, seeded_key
 from formation_env.interface.faces import TERMS, describe, path_times
@@ -59,6 +59,7 @@ class Recorder:
         if not s.seeded[0] or s.ended(0):
             raise ValueError("no episode is under way: call reset() before Recorder(env)")
         self._config, self._tally = s.config, begin(s.started)
+        self._scored = skipped_ticks(self._config), window_ticks(self._config)
         n, k = self._config.followers, self._config.action_size
         self._path = s.reference(path_times(float(s.clock[0]), self._config.duration))
         self._failure = np.zeros(n, dtype=np.int64)
@@ -99,15 +100,13 @@ class Recorder:
     def _tick(self, outputs: Floats, action: Any) -> None:
         """What the tick was, added to the score as the evaluation does."""
         s, config = self._simulation, self._config
-        window = window_ticks(config)
         rewards = outputs[:, COLUMNS["reward"].start]
         terminated = np.array([bool(self._failure.any())])
         truncated = np.array([s.ended(0) and not terminated[0]])
         add_tick(
             self._tally,
             len(self._slots),
-            flight_ticks(config) - window,
-            window,
+            *self._scored,
             np.ones(1, dtype=np.bool_),
             s.started,
             s.leaders,

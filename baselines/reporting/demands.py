@@ -18,7 +18,7 @@ from baselines.policies.base import Policy
 from baselines.policies.transfer import transfer_unwarned
 from baselines.reporting.cells import markdown_table
 from baselines.scoring.evaluation import Flyable
-from baselines.scoring.metrics import flight_ticks, window_ticks
+from baselines.scoring.metrics import skipped_ticks
 from baselines.scoring.results import Report
 from baselines.scoring.rollout import fly
 from baselines.system.progress import Bar
@@ -75,8 +75,7 @@ class _Watch:
 
     def __init__(self, config: FormationConfig) -> None:
         self._config = config
-        unscored = flight_ticks(config) - window_ticks(config)
-        self._unscored = (unscored + 0.5) * config.control_period  # s since the start
+        self._unscored = (skipped_ticks(config) + 0.5) * config.control_period  # s since the start
         self._before: tuple[Floats, Floats] | None = None  # velocities and thrust axes
         self._waiting: tuple[NDArray[np.bool_], Floats] | None = (
             None  # which worlds wait, and slots

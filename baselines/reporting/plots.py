@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from baselines.scoring.curves import COLUMN, HIGH, LOW, Curve, curve
-from baselines.scoring.metrics import CAP, deadline, flight_ticks, window_ticks
+from baselines.scoring.metrics import CAP, deadline, skipped_ticks, window_ticks
 from baselines.scoring.results import ELSEWHERE, Report, Result, Scenario, Sweep
 from baselines.system import pictures
 from baselines.system.pictures import COLOURS, DARK, GREY, MARKS, SHADE, labelled
@@ -235,8 +235,8 @@ def _trigger(ax: Any, result: Result, own: Curve, config: FormationConfig) -> No
     if len(fired) == 0:
         return
     time = float(np.median(fired))
-    end = time + flight_ticks(config) * config.control_period
-    begin = end - window_ticks(config) * config.control_period
+    begin = time + skipped_ticks(config) * config.control_period
+    end = begin + window_ticks(config) * config.control_period
     ax.axvspan(begin, end, color=SHADE, linewidth=0, zorder=0, label="scored")
     if limit:
         error = np.interp(time, own.time, own.median)

@@ -73,8 +73,8 @@ def _more(config: FormationConfig) -> FormationConfig:
 
 
 def _farther(config: FormationConfig) -> FormationConfig:
-    """One follower alone, at the first one's place but above the leader, where a start has room that nobody
-    else and no floor is in, and where it inverts as little as before."""
+    """One follower alone, at the first one's place but above the leader, where a start has room without
+    another vehicle or the floor in it, and where it inverts as little as before."""
     if config.start == "ground":
         raise ValueError("all start on the floor")
     x, y, _ = config.offsets[0]

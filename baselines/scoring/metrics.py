@@ -60,6 +60,11 @@ def window_ticks(config: FormationConfig) -> int:
     return max(1, round(min(WINDOW / config.control_period, LONGEST * flight_ticks(config))))
 
 
+def skipped_ticks(config: FormationConfig) -> int:
+    """How many of a flight's ticks come before those that are scored."""
+    return flight_ticks(config) - window_ticks(config)
+
+
 class Metric(NamedTuple):
     """One column of the results."""
 

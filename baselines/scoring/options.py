@@ -16,7 +16,7 @@ from formation_env.laws.levels import NAMES as LEVEL_NAMES
 from formation_env.validation.checks import shown
 
 
-def read_scenario(text: str) -> str:
+def _read_scenario(text: str) -> str:
     """A scenario's name, perhaps with an action level after a colon."""
     tasks.check_scenario(text)
     return text
@@ -24,7 +24,7 @@ def read_scenario(text: str) -> str:
 
 def _scenarios(text: str) -> list[str]:
     names = [name for name in text.replace(",", " ").split() if name]
-    return list(dict.fromkeys(map(read_scenario, names or [text])))
+    return list(dict.fromkeys(map(_read_scenario, names or [text])))
 
 
 def read_policies(text: str) -> list[str]:
@@ -66,6 +66,20 @@ def parser() -> Parser:
     _add_what(own)
     _add_how(own)
     return own
+
+
+def add_task(own: Parser) -> None:
+    """Options that name one task: `--scenario`, `--action` and `--set`, as `settings`."""
+    add = own.add_argument
+    add("--scenario", type=reader(_read_scenario), default="nominal", metavar="NAME",
+        help=f"Scenario to fly: {', '.join(SCENARIOS)}; NAME:LEVEL flies it at another action level. "
+        "(default: %(default)s)")  # fmt: skip
+    add("--action", choices=tuple(LEVEL_NAMES), metavar="LEVEL",
+        help=f"Action level of a scenario that is named without one: {', '.join(LEVEL_NAMES)}. "
+        "(default: the scenario's own)")  # fmt: skip
+    add("--set", type=reader(tasks.read_setting), action="append", default=[], metavar="FIELD=VALUE",
+        dest="settings", help="Set a field of the scenario, in SI units, or the number of followers; the "
+        "value is JSON or a name; may be repeated. (default: the scenario's own values)")  # fmt: skip
 
 
 def _add_what(own: Parser) -> None:

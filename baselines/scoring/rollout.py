@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from baselines.policies.base import Policy
 from baselines.scoring.curves import COLUMN, Gatherer
-from baselines.scoring.metrics import add_tick, begin, episodes, flight_ticks, window_ticks
+from baselines.scoring.metrics import add_tick, begin, episodes, skipped_ticks, window_ticks
 from formation_env import FormationConfig
 from formation_env.core.simulation import Simulation, seeded_key
 
@@ -74,7 +74,7 @@ def fly(
         simulation.seed(i, seeded_key(seed))
     policy.reset(seed=seeds.start, worlds=worlds)
     results = simulation.reset()
-    tally, window = begin(simulation.started), window_ticks(config)
+    tally, skipped, window = begin(simulation.started), skipped_ticks(config), window_ticks(config)
     actions = np.zeros((worlds, config.followers, config.action_size), dtype=np.float32)
     offsets = np.array(config.offsets)
     gatherer = Gatherer(config, worlds) if curves else None
@@ -97,7 +97,7 @@ def fly(
         living = add_tick(
             tally,
             tick,
-            flight_ticks(config) - window,
+            skipped,
             window,
             live,
             simulation.started,

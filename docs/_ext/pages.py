@@ -2,7 +2,7 @@
 
 A line `<!-- file: NAME -->` of a page stands for a file of the checkout, `<!-- made: NAME -->` for a text of
 `made.TEXTS`. Links to files of the checkout lead to the page that holds the file, so that one text
-serves the manual and whoever reads the files themselves.
+serves the manual and the files as they are.
 """
 
 from __future__ import annotations

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import ast
 import dataclasses
 import inspect
-import textwrap
 from typing import Any, NamedTuple
 
 from baselines.system.field_comments import comments
@@ -16,24 +14,16 @@ class Field(NamedTuple):
     """A field of a class."""
 
     name: str
-    type: str
     default: Any  # `inspect.Parameter.empty` where there is none
     comment: str  # unit and meaning
 
 
 def fields(kind: type) -> list[Field]:
-    """The fields of `kind`, in order. A comment is behind the field, or on the lines before it."""
-    source = textwrap.dedent(inspect.getsource(kind))
-    (body,) = ast.parse(source).body
-    assert isinstance(body, ast.ClassDef)
-    defaults, said = _defaults(kind), comments(kind)
+    """The fields of `kind`, in order, none without source text; a comment is behind the field or above it."""
+    defaults = _defaults(kind)
     return [
-        Field(
-            name, _type(node.annotation), defaults.get(name, _EMPTY), _told(kind, name, said[name])
-        )
-        for node in body.body
-        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)
-        for name in [node.target.id]
+        Field(name, defaults.get(name, _EMPTY), _told(kind, name, comment))
+        for name, comment in comments(kind).items()
     ]
 
 
@@ -59,14 +49,6 @@ def _defaults(kind: type) -> dict[str, Any]:
         elif f.default_factory is not dataclasses.MISSING:
             found[f.name] = f.default_factory()
     return found
-
-
-def _type(node: ast.expr) -> str:
-    """The annotation; of `Annotated[type, note]` the type."""
-    if isinstance(node, ast.Subscript) and ast.unparse(node.value) == "Annotated":
-        assert isinstance(node.slice, ast.Tuple)
-        node = node.slice.elts[0]
-    return ast.unparse(node)
 
 
 def shown(value: Any) -> str:

@@ -8,7 +8,6 @@ ends the name of one documented object and of no other links to it.
 from __future__ import annotations
 
 import dataclasses
-from contextlib import suppress
 from typing import Any
 
 from docutils import nodes
@@ -19,7 +18,7 @@ from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.util.nodes import make_refnode
 
-from _ext.record_fields import field_table
+from _ext.record_fields import field_table, fields
 from formation_env.env import FormationEnv
 
 
@@ -55,7 +54,7 @@ def _docstring(
         if lines and lines[0].startswith(f"{thing.__name__}("):
             lines[:] = []
         # One that is made by a call has no fields in the source.
-        with suppress(OSError):
+        if fields(thing):
             lines += ["", *field_table(thing).splitlines()]
     if lines:
         lines[:] = [".. markdown::", "", *(f"   {line}" for line in lines), ""]
