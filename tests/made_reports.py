@@ -14,6 +14,14 @@ from formation_env import FormationConfig, configure
 
 Floats = NDArray[np.float64]
 
+QUICK = ["--scenarios", "nominal", "--policies", "hover", "--episodes", "2", "--duration", "0.1"]
+SCORES = {
+    "ff": [np.array([0.9, 0.8, 1.0, 0.7])],
+    "expert": [np.array([0.2, 0.4, 0.3, 0.1])],
+    "ppo": [np.array([0.5, 0.5, 0.9, 0.6])],
+    "dagger": [np.array([0.6, 0.5, 0.9, 0.7])],
+}
+
 
 def columns(score: Floats, failed: float = 0.0) -> Episodes:
     """The episodes of one run, `(episodes,)`; the first ones have failed."""
@@ -90,3 +98,14 @@ def large(scenarios: int, episodes: int = 40) -> Report:
         trained = dict.fromkeys(LEARNED, task)
         found[name] = scenario(runs, trained, config, failed=0.456)
     return Report(0, episodes, found)
+
+
+def near(level: float, seed: int = 0, count: int = 30) -> Floats:
+    """Scores around a level."""
+    return level + 0.01 * np.random.default_rng(seed).standard_normal(count)
+
+
+def cells(text: str, row: str) -> list[str]:
+    """The cells of a row of the first table that has it, without its name."""
+    (line, *_) = (line for line in text.splitlines() if line.startswith(f"| `{row}` |"))
+    return [cell.strip() for cell in line.strip("| ").split(" | ")[1:]]
