@@ -194,13 +194,13 @@ def test_a_push_is_seen_and_goes_where_the_arrow_points(server: Server, opened: 
     page.page.locator("#strength").fill("3")
     page.page.locator("#push-right").click()
     done(page, do="pause", value=False)
-    page.wait_until("play.flights[0].last > 0.1")
     ahead = """(() => {
         const { positions } = play.flights[0];
         const moved = (vehicle) => positions[9 + 3 * vehicle] - positions[3 * vehicle];
         return moved(1) - moved(0);
     })()"""
-    assert page.value(ahead) > 0.1, "north of where it would be beside the leader, m"
+    # m, north of where it would be beside the leader: how soon a slow page shows it is not fixed.
+    page.wait_until(f"{ahead} > 0.1")
 
 
 def test_a_lost_follower_is_gone_and_the_flight_goes_on(server: Server, opened: Any) -> None:
